@@ -23,6 +23,7 @@ from tests.conftest import ROOT
 from tests.programs import python
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+# Names of the files and folders that the image is made of.
 ALLOWED = {
     line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")
 }
@@ -36,8 +37,8 @@ def build(kind, source, target):
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """Built from a copy of what the Dockerfile copies: a build leaves products beside the
-    sources.
+    """Path of a wheel, built from a copy of what the Dockerfile copies: a build leaves products
+    beside the sources.
     """
     pytest.importorskip("setuptools", "77", reason="setuptools is in the extra test")
     source = tmp_path_factory.mktemp("source")
@@ -55,6 +56,7 @@ def wheel(tmp_path_factory):
 
 
 def sources(folder):
+    """Paths, below a folder of the repository, of all files with a suffix but compiled ones."""
     found = (
         p.relative_to(ROOT / folder).as_posix() for p in (ROOT / folder).rglob("*.*") if p.is_file()
     )
@@ -165,6 +167,9 @@ def test_what_is_imported_is_declared(folders, extras):
 
 
 def run(*command, cwd):
+    """Output of a command without PYTHONPATH, so that only what is installed or in `cwd` is found;
+    AssertionError with its stderr unless it ends with status 0.
+    """
     env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(command, cwd=cwd, env=env, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr[-2000:]
@@ -208,8 +213,8 @@ def test_first_use_where_nothing_can_be_written(wheel, tmp_path):
     """Neither site-packages nor HOME: code is compiled for the process, which says so, and
     predicts; configs are found.
 
-    That of one prediction: the environment's is compiled and kept in the same way, in 30 s. Files
-    in the place of the folders that caches would go to stop even root, as whom containers run.
+    One prediction is enough: the code of an environment is compiled in the same way, but takes
+    30 s. Files in place of the folders of caches stop even root, as whom containers run.
     """
     home = tmp_path / "site"
     nowhere = tmp_path / "home"

@@ -50,10 +50,14 @@ pytestmark = pytest.mark.documents
 
 
 def name_of(page: Path) -> str:
+    """Path of a page from the root of the repository, as the name of a test."""
     return page.relative_to(ROOT).as_posix()
 
 
 def blocks(page: Path, *languages: str) -> list[re.Match]:
+    """Code blocks of a page in these languages: matches of `FENCE`, whose `reason` says why a block
+    is not run, None where it is.
+    """
     return [
         block
         for block in FENCE.finditer(page.read_text(encoding="utf-8"))
@@ -62,7 +66,9 @@ def blocks(page: Path, *languages: str) -> list[re.Match]:
 
 
 def printed_below(page: Path, found: list[re.Match], anywhere: bool = False) -> list[str]:
-    """Text blocks that stand right below these blocks, as what they print; `anywhere`: the next."""
+    """What the blocks `found` print by the page: the text block right below each, if any, or with
+    `anywhere` the next one.
+    """
     text = page.read_text(encoding="utf-8")
     below = re.compile(("" if anywhere else r"\n\n") + r"^```text\n(.*?)^```", re.M | re.S)
     looked = [(below.search if anywhere else below.match)(text, block.end()) for block in found]
@@ -101,7 +107,9 @@ def test_the_python_of_a_page_runs(page, tmp_path):
 
 
 def compare_discovery(page: Path, table: str, said: str) -> None:
-    """Whether parts of what a command prints of a table stand below it on the page."""
+    """Check that what the page shows below its command `discover` of a `table`, between "[...]", is
+    in `said`, what the command prints; line breaks do not count.
+    """
     command = next(b for b in blocks(page, "sh") if b["code"].startswith("soil-env discover"))
     assert f"examples/data/{table}" in command["code"]
     (printed,) = printed_below(page, [command], anywhere=True)
@@ -212,7 +220,7 @@ def test_the_commands_of_a_page_exist(page):
         r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE
     )
     for words in commands(page):
-        while "=" in words[0]:
+        while "=" in words[0]:  # a variable of the environment
             words = words[1:]
         if words[0] == "make":
             assert words[1] in targets, words
@@ -246,7 +254,9 @@ def entries(env_id: str, **keywords) -> list[tuple[str, float, float, float, flo
 
 
 def agree(rows: list[dict[str, str]], expected: list[tuple]) -> None:
-    """Rows of a page have the numbers of the code, each at its place."""
+    """Check that each row of a page has the name and the numbers of `expected` (`entries`) at the
+    place that its column "#" says.
+    """
     assert rows
     for row in rows:
         name, *numbers = expected[int(row["#"])]

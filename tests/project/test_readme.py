@@ -43,7 +43,9 @@ def test_versions_of_python():
 
 
 def test_the_drive_of_the_picture():
-    """The rule gets stuck and the agent finishes, on the course of the command below it."""
+    """The rule gets stuck and the agent finishes, on the course of the command below the picture.
+    No picture is drawn, to save time.
+    """
     command = re.search(r"`(soil-env drive .*?)`", TEXT)[1].replace("--every 12 ", "")
     words = shlex.split(command)
     at = words.index("--out")
@@ -54,6 +56,7 @@ def test_the_drive_of_the_picture():
 
 
 def test_errors_of_braked_pull():
+    """For the two measured wheels, smooth and lugged: as on the page of results."""
     said = re.search(r"errs by (\d+) and (\d+) % of the load", TEXT).groups()
     rows = tables(DOCS / "results.md")["Laws on measured wheels"]
     assert said == tuple(row["presets"] for row in rows if row["wheel"].startswith("CMU"))

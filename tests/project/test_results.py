@@ -42,7 +42,7 @@ pytestmark = pytest.mark.documents
 
 
 def numbers(cell: str) -> list[float]:
-    """The numbers of a cell of a table."""
+    """The numbers in a cell of a table: of "1.0 [0.5, 2.0]" the value and the two ends."""
     return [float(x) for x in re.findall(NUMBER, cell)]
 
 
@@ -66,12 +66,15 @@ def first_table(name: str, beginning: str) -> list[dict[str, str]]:
 
 
 def finished(page) -> dict[tuple[str, str], float]:
-    """Courses finished [%] by (scenario, arm), of a table of agents."""
+    """Courses finished [%] by (scenario, arm), of a page whose only table is one of agents."""
     (rows,) = tables(page).values()
     return {(row["scenario"], row["arm"]): numbers(row["finished [%]"])[0] for row in rows}
 
 
 def test_agents_and_rules():
+    """The table of the page: courses finished [%], and the lead of the agent on the best rule that
+    does not know the true soil, as that rule with its interval.
+    """
     known = finished(RESULTS / "agents.md")
     (rows,) = tables(RESULTS / "agents.md").values()
     ahead = {
@@ -79,10 +82,12 @@ def test_agents_and_rules():
     }
     for row in tables(PAGE)["Agent and rules on every ground"]:
         ground = row["ground"].strip("`")
+        # Columns: ground, then six arms, then the lead.
         for column in list(row)[1:7]:
             arm = "default" if column == "agent" else column.strip("`")
             assert float(row[column]) == known[ground, arm], (ground, column)
         rule, difference = row[list(row)[7]].split(" ", 1)
+        # The results have the opposite difference: the rule less the agent.
         value, low, high = ahead[ground, rule.strip("`")]
         assert numbers(difference) == [-value, -high, -low], ground
         blind = ("constant_torque", "soft_start", "best_route", "best_slip_identified")
@@ -98,6 +103,7 @@ def test_the_page_of_studies_has_the_figure_of_the_results():
 
 
 def test_what_is_said_of_agent_and_rules():
+    """Sentences of the page, on two routes, on every ground and in worlds with an effect."""
     (rows,) = tables(RESULTS / "agents.md").values()
     # Differences of shares that are rounded already may be off by a point.
     behind = {
@@ -132,6 +138,7 @@ def test_what_is_said_of_agent_and_rules():
         rules = [row for row in ours if row["arm"] not in ("default", "best_slip_true")]
         best = max(rules, key=lambda row: numbers(row["finished [%]"])[0])
         value, low, high = numbers(best["finished - default [points]"])
+        # The page states a lead of the agent as more, and a lag as fewer, both without a sign.
         more = [-value, -high, -low] if value < 0 else [value, low, high]
         assert (
             said_on(PAGE, rf"{INTERVAL}(?: points more|(?: points)? fewer) with `{world}`") == more
@@ -139,6 +146,7 @@ def test_what_is_said_of_agent_and_rules():
 
 
 def test_identification():
+    """Each column of the table of the page is one of a table of the results, rounded."""
     shipped = {row["scenario"]: row for row in first_table("identification", "as shipped")}
     errors = {row["scenario"]: row for row in first_table("identification", "errors")}
     for row in tables(PAGE)["Identification"]:
@@ -336,7 +344,7 @@ def test_make_results_takes_no_result_of_other_code(importable):
 
 
 def quick(name: str):
-    """Path of a file of the quick results; the test is skipped where there is none."""
+    """Path of the file `name` of the quick results; the test is skipped where there is none."""
     file = QUICK / name
     if not file.exists():
         pytest.skip("no quick results: make results QUICK=1 writes them")
@@ -344,7 +352,9 @@ def quick(name: str):
 
 
 def agrees(count: int, of: int, value: float, of_page: int) -> bool:
-    """True if a quick count can come of the same share as the page's value in `of_page` trials."""
+    """True if a `count` in `of` quick trials can come of the same share as the page's `value` in
+    `of_page` trials.
+    """
     page = binomtest(round(value * of_page), of_page).proportion_ci(CONFIDENCE, method="wilson")
     low = binom.ppf(0.5 * (1.0 - CONFIDENCE), of, page.low)
     high = binom.ppf(0.5 * (1.0 + CONFIDENCE), of, page.high)
@@ -359,11 +369,13 @@ def test_a_quick_share_that_is_far_off_does_not_agree(count, expected):
 def test_quick_agents_agree():
     page = finished(RESULTS / "agents.md")
     for key, value in finished(quick("agents.md")).items():
+        # Courses of each ground: 100 with QUICK=1, 4000 of the page.
         assert agrees(round(value), 100, page[key] / 100.0, 4000), (key, value, page[key])
 
 
 @pytest.mark.parametrize("name", ["gravity", "rigs", "prediction"])
 def test_what_is_computed_comes_again(name):
+    """Nothing random goes into these: every number of the quick results is that of the page."""
     known = tables(RESULTS / f"{name}.md")
     found = tables(quick(f"{name}.md"))
     assert found.keys() == known.keys()
@@ -400,6 +412,7 @@ def test_quick_robustness_agrees():
     for row in next(iter(tables(quick("robustness.md")).values())):
         for driver in ("agent", "rule"):
             value, of_page = (float(r[driver]) / 100.0 for r in (row, known[row["row"]]))
+            # 20 courses with QUICK=1, 200 of the page
             assert agrees(round(20 * value), 20, of_page, 200), (row, of_page)
 
 

@@ -5,6 +5,8 @@ import pytest
 from soil_env._compiled.cache import COMPILED
 from tests.programs import python
 
+#: Uses all parts of the warm-up, then commands, controllers, environments and renderers; prints
+#: what was compiled or loaded after the warm-up.
 CODE = """
 import gc, sys
 from pathlib import Path
