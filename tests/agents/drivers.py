@@ -53,9 +53,10 @@ class Torques(Controller):
     """Holds a rim speed by torques, each for three control periods."""
 
     drives = {"action": "torque", "repeat": 3}
-    asked = 0
+    asked = 0  # how often, of all objects of the class
 
     def rim_speed(self, observation, state):
+        """0.1 m/s, [n], and one more in `asked`."""
         Torques.asked += 1
         return np.full(len(observation), 0.1)
 

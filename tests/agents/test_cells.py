@@ -147,10 +147,12 @@ def test_what_was_made_from_something_else_or_is_damaged_is_done_again(tmp_path,
     done = []
 
     def fill_one(cell):
+        """Work that is listed in `done`."""
         done.append(cell)
         return {"value": cell}
 
     def fill(needs):
+        """Cells that are filled anew where `needs(cell)` says what a cell is made from."""
         done.clear()
         cells.fill(fill_one, [7, 8], tmp_path, cells.in_process, lambda cell: None, needs)
         return done

@@ -24,6 +24,9 @@ class _Forks(NativeVecEnv):
         self.step_count = 0
 
     def reset(self):
+        """Observations [2, 3] of this step: step + 0.1 and + 0.2 are the routes of wheel 0, step
+        + 0.3 and + 0.4 those of wheel 1.
+        """
         k = self.step_count
         choosing = float(k % 3 == 0)
         rows = [[choosing, k + 0.1, k + 0.2], [choosing, k + 0.3, k + 0.4]]
@@ -33,6 +36,7 @@ class _Forks(NativeVecEnv):
         self.step_count += 1
 
     def step_wait(self):
+        """Wheel 0 finishes its course with step 4, wheel 1 is bogged with step 8."""
         finished = self.step_count == 4
         bogged = self.step_count == 8
         infos = [{"cause": "FINISHED"}, {"cause": "BOGGED"}]

@@ -184,8 +184,8 @@ def test_best_slip_identified_does_not_see_the_true_soil():
 
 @pytest.mark.parametrize("slip", [0.15, 0.3])
 def test_fixed_slip_holds_its_slip_where_the_slope_asks_for_less(slip):
-    """A slope on which a wheel at a constant speed has 0.05 less slip: the wheel gains speed at the
-    slip to hold, until it is as fast as the motor lets it be."""
+    """On a slope on which a wheel at a constant speed has 0.05 less slip. The wheel gains speed at
+    the slip to hold, until it is as fast as the motor lets it be."""
     white = vars(calibrated(Noise()))  # without zeros and gains
     easy = uniform(noise=white)
     wheel = easy.wheel
@@ -422,6 +422,8 @@ def test_drives_are_shown_side_by_side(tmp_path, capsys):
     asked = []
 
     class Asked(Half):
+        """Lists for each call whether a course begins."""
+
         def predict(self, obs, state=None, episode_start=None, deterministic=True):
             asked.append(bool(episode_start[0]))
             return super().predict(obs)

@@ -230,6 +230,7 @@ def test_a_kill_and_processes_give_the_same_table(tmp_path, monkeypatch, importa
     predict = Counting.predict
 
     def killed(self, *given, **more):
+        """`predict` that ends all at the call after the fortieth of an object."""
         if self.calls == 40:
             raise Killed
         return predict(self, *given, **more)
@@ -257,6 +258,7 @@ def test_results_that_cannot_all_be_written_are_not_there(tmp_path, monkeypatch)
     """evaluation.json among them, by which train.py knows that a comparison is done."""
 
     def full(*_):
+        """Drawing on a disk without room."""
         raise OSError(28, "full", "metrics.png")
 
     monkeypatch.setattr(report, "draw_metrics", full)
@@ -322,8 +324,8 @@ def test_an_edited_class_or_study_is_driven_again(capsys, tmp_path, monkeypatch)
 
 
 def test_the_code_of_a_class_is_its_module_and_what_of_the_users_it_imports(tmp_path, monkeypatch):
-    """Also in a function, in a package with or without __init__.py, and by a relative import; not
-    what is installed, missing, or a folder that has the name of a library.
+    """Imports in a function, in a package with or without __init__.py, and relative ones count.
+    What is installed or missing does not, nor does a folder with the name of a library.
     """
     monkeypatch.syspath_prepend(str(tmp_path))
     files = {
@@ -400,6 +402,7 @@ def test_what_other_code_or_another_class_tuned_is_tuned_again(tmp_path, monkeyp
         names = []
 
         def found(scenario, courses, of, world, log):
+            """Stand-in for `tuned_settings`: notes the controllers `of` and drives nothing."""
             names.extend(of)
             return {name: {"slip": 0.3} for name in of}
 
@@ -624,6 +627,8 @@ def test_a_planner_of_a_module_is_attached_before_it_is_tried():
 
 def test_nan_for_a_course_that_has_ended_is_allowed():
     class Careless(Half):
+        """Full command, but NaN for courses that have ended, if `careless`."""
+
         def __init__(self, careless):
             self.careless = careless
 

@@ -43,6 +43,7 @@ def export(run, out):
 
 @pytest.fixture(scope="module")
 def scenario():
+    """`mixed` with short courses, driven by torque."""
     return load_scenario("mixed", COURSE)
 
 

@@ -27,6 +27,7 @@ BLIND = len(NAMES)
 
 @pytest.fixture(scope="module")
 def scenario():
+    """`mixed` with courses of 2 m and at most 4 s."""
     return load_scenario("mixed", SHORT)
 
 

@@ -26,16 +26,19 @@ from tests.refusals import refused
 
 @pytest.fixture(scope="module")
 def scenario():
+    """`mixed` with courses of at most 3 s."""
     return load_scenario("mixed", {"control": {"time_limit": 3.0}})
 
 
 @pytest.fixture(scope="module")
 def model(scenario):
+    """An agent after three rollouts of training."""
     return learnt(scenario, steps=3 * ROLLOUT)
 
 
 @pytest.fixture()
 def saved(model, tmp_path):
+    """Path of the zip of this agent."""
     save(model, tmp_path / "model.zip")
     return tmp_path / "model.zip"
 
@@ -66,6 +69,7 @@ def test_resume_goes_on_with_weights_optimizer_normalisation_and_learning_rate(
     update = again.train
 
     def train():
+        """Update as before, and note the learning rate of it."""
         update()
         rates.append(again.policy.optimizer.param_groups[0]["lr"])
 
@@ -97,6 +101,9 @@ def test_resume_starts_new_courses_with_new_noise(saved, scenario):
     """
 
     def first(model):
+        """(first observations [wheels, D] in units, exploration noise of an action for zeros) of a
+        model: a training of 0 steps resets its environment.
+        """
         model.learn(0, reset_num_timesteps=False)
         seen = model.get_vec_normalize_env().get_original_obs()
         x = np.zeros_like(seen)

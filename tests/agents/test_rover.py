@@ -30,6 +30,7 @@ def observed(variant, **values):
 
 @pytest.fixture(scope="module")
 def scenario():
+    """The rover with three axles on short courses."""
     return load_rover("mars_rover", SHORT)
 
 

@@ -133,6 +133,7 @@ def test_arms_are_trained_by_the_config_and_judged_as_they_drive(finished):
     for name, target in asked.targets.items():
 
         def drive(controller, target=target):
+            """Mean return of a controller on the held-out courses of the target."""
             return run_courses(
                 controller, target.scenario, asked.held_out, 6, model=target.world
             ).returns.mean()
@@ -164,6 +165,7 @@ def test_lost_cells_are_done_again_and_give_the_same(finished, copied, elsewhere
     before = kept.stat().st_mtime_ns
 
     def sent(do, missing):
+        """Engine that sends the work as other processes get it, pickled."""
         return cells.in_process(pickle.loads(pickle.dumps(do)), missing)
 
     work.fill(cells.load_study(Study, copied), copied, sent, elsewhere)

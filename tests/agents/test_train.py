@@ -183,6 +183,7 @@ def test_a_training_that_fails_before_any_work_leaves_no_folder(capsys, tmp_path
     assert not list(tmp_path.iterdir())
 
     def fail_late(*_):
+        """A training that fails once it has written a checkpoint."""
         checkpoint.write_bytes(b"work")
         raise MemoryError
 
@@ -219,6 +220,7 @@ def test_a_training_that_was_stopped_is_resumed(capsys, tmp_path, monkeypatch, e
     more = ["--timesteps=512", f"--checkpoint_every={every}", f"--runs={tmp_path}", "--name=n"]
 
     def stopped(self):
+        """A step of the environment, of which the fortieth raises `end`."""
         calls.append(1)
         if len(calls) == 40:  # a rollout has 16
             raise end

@@ -73,6 +73,7 @@ def test_an_interrupted_tuning_ends_as_one_without_a_break(few, tmp_path, monkey
     driven = []
 
     def until_the_ninth(*args, **options):
+        """`run_courses`, whose first, fifth and ninth call are interrupted."""
         if len(driven) in (0, 4, 8):
             driven.append("interrupted")
             raise KeyboardInterrupt
@@ -106,6 +107,7 @@ def test_a_class_with_settings_is_tuned_set_and_driven_as_a_shipped_one(
     asked = ["evaluate", f"--controllers=soft_start,mine={source}", *short, f"--model={world}"]
 
     def evaluated(*options):
+        """Results of an evaluation with these options, in a folder named by the first."""
         assert soil_env([*asked, *options, f"--out={tmp_path / options[0]}"]) == 0
         return json.loads((tmp_path / options[0] / "evaluation.json").read_text())
 
@@ -190,6 +192,7 @@ def test_the_command_writes_settings_that_the_package_finds(tmp_path, monkeypatc
 )
 def test_shipped_settings_serve_an_unchanged_scenario_only(name):
     def of(changes):
+        """The scenario, with changes of it."""
         return load_scenario(name, {"control": {"action": "rim_acceleration"}, **changes})
 
     shipped = shipped_settings(of({}), 200)

@@ -66,6 +66,7 @@ def test_probabilities_are_those_of_the_environment(monkeypatch):
     assess = ImmobilisationWarning.assess
 
     def kept(self, rows, *known):
+        """`assess`, whose probabilities within 5 s [wheels] are kept in `given`."""
         found = assess(self, rows, *known)
         given.append(found.probabilities[:, 1].copy())
         return found
