@@ -209,6 +209,7 @@ def test_drives_without_meaning_are_not_gone_on_with(tmp_path, monkeypatch):
     driven = []
 
     def here(work, cells, workers):
+        """Stand-in for `processes`: the same drive for all cells, whose number is noted."""
         driven.append(len(cells))
         return dict.fromkeys(cells, drive).items()
 

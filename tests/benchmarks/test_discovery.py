@@ -69,8 +69,10 @@ def test_covariance_of_law_errors_is_that_of_drawn_ones():
 
 
 def log_factors(kind, slip):
-    """Logarithms [300, slips] of the factor on the normal stress by 300 drawn law errors of size 1,
-    at one place of the arc and at each `slip`; `kind`: dependence on slip, as `regimes`.
+    """Logarithms [300, slips] of the factor on the normal stress by 300 drawn law errors of size 1.
+
+    It is taken at one place of the arc and at each `slip`; `kind`: dependence on slip, as
+    `regimes`.
     """
     rng = np.random.default_rng(0)
     n = len(slip)

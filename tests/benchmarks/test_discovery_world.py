@@ -74,7 +74,7 @@ def world(rows=ROWS, **soil) -> np.ndarray:
 
 def judged(ref, out, k, scale):
     """Compare row k of a table `out` [3, rows] with the forces `ref` of the independent judge at
-    the sinkage found: load and torque to a share `scale`, pull to that share of the load.
+    the sinkage found. Load and torque agree to a share `scale`, the pull to that share of the load.
     """
     assert ref.load == pytest.approx(ROWS.load[k], rel=scale)
     assert abs(ref.drawbar_pull - out[1, k]) < scale * ROWS.load[k]
@@ -107,6 +107,7 @@ def integral(out, k, shape):
     entry = entry_of(out, k)
 
     def at(theta):
+        """The integrand at the angle `theta` [rad], 0 below the axle."""
         sigma = reference.normal_stress(theta, JUDGED, 0.15, entry, 0.0, 0.5 * entry)
         j = reference.shear_displacement(theta, ROWS.slip[k], 0.15, entry)
         return shape(theta, sigma, j / JUDGED.shear_modulus)
@@ -152,6 +153,7 @@ def test_deeper_sinkage_with_stresses_scaled_to_the_load():
     for k in (2, 43):
 
         def forces(log_factor, k=k):
+            """Forces of row k on a soil whose stiffness is exp(`log_factor`) times as large."""
             soil = JUDGED._replace(sinkage_coefficient=S * math.exp(log_factor))
             return reference.forces(soil, ROWS.slip[k], entry_of(out, k), 0.15, 0.12)
 
@@ -193,12 +195,14 @@ def test_lugs_shear_the_soil_at_their_sides_and_push_on_it():
     out = table(hidden("passive_ripple_mean", 0.01, lugs=18))
     entry = entry_of(out, 30)
 
-    def force(t):  # of the lugs in one rad, over b r: N = 3
+    def force(t):
+        """Force of the lugs in one rad over b r [Pa]; the passive pressure has N = 3."""
         depth = 0.15 * (math.cos(t) - math.cos(entry)) + 0.005
         pressure = 15696.0 * depth * 3.0 + 2.0 * 1500.0 * math.sqrt(3.0)
         return 18 / (2.0 * math.pi) * 0.01 / 0.15 * pressure * math.tanh(ROWS.slip[30] / 0.03)
 
     def pull(t, sigma, ratio):
+        """Pull of the stresses and of the lugs at an angle [Pa]."""
         thrust = (1500.0 + sigma * TAN) * -math.expm1(-ratio) + force(t)
         return thrust * math.cos(t) - sigma * math.sin(t)
 
