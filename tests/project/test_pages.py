@@ -138,6 +138,7 @@ def output_of(tmp_path, monkeypatch, unrendered):
     shutil.copytree(ROOT / "examples" / "data", tmp_path / "examples" / "data")
 
     def run(command: re.Match) -> str:
+        """Output of the command, which has to end with status 0."""
         done = CliRunner().invoke(soil_env, shlex.split(command["code"])[1:])
         assert done.exit_code == 0, done.output
         return done.output

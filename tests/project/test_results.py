@@ -73,7 +73,7 @@ def finished(page) -> dict[tuple[str, str], float]:
 
 def test_agents_and_rules():
     """The table of the page: courses finished [%], and the lead of the agent on the best rule that
-    does not know the true soil, as that rule with its interval.
+    does not know the true soil. The lead has an interval.
     """
     known = finished(RESULTS / "agents.md")
     (rows,) = tables(RESULTS / "agents.md").values()
