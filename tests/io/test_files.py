@@ -163,6 +163,7 @@ def test_a_disk_without_locks_is_written_without_one(tmp_path, monkeypatch, code
     """`ENOLCK`: the disk knows no locks, and the block runs; any other error is raised."""
 
     def fails(*_, **__):
+        """Taking a lock on a disk that refuses it."""
         raise OSError(code, "no lock", "file")
 
     monkeypatch.setattr(filelock.FileLock, "acquire", fails)

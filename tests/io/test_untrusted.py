@@ -343,6 +343,7 @@ def json_mcap(folder):
     from mcap.writer import CompressionType
 
     def messages():
+        """Twelve messages of each of two topics, a second apart, one topic without headers."""
         for k in range(12):
             header = {"stamp": {"sec": k, "nanosec": 10**8}}
             yield "/drive", k * 10**9, {"header": header, "speed": 2.0 + 0.1 * k}
@@ -444,9 +445,11 @@ def test_damaged_cells_and_checksums(tmp_path):
     from soil_env_agents.cells import cell_file, read_cell
 
     def cells(path):
+        """Read the cell that lies at `path`, as a study reads it."""
         read_cell(tmp_path, "1", lambda found: {n: float(x) for n, x in found.items()})
 
     def checksums(path):
+        """Check the checksums in the folder, where none of the files is that they name."""
         assert not code._check()
 
     (tmp_path / "cells").mkdir()
