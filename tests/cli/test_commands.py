@@ -61,6 +61,7 @@ def test_discover_says_nothing_but_why_it_refuses(capsys, tmp_path):
 
 def test_examples_on_a_full_disk_name_the_file_that_is_not_written(capsys, monkeypatch, tmp_path):
     def full(content):
+        """Content for a disk without room."""
         raise OSError(28, "full")  # ENOSPC
 
     monkeypatch.setattr(files, "_bytes", full)

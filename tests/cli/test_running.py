@@ -90,6 +90,7 @@ def test_an_interrupt_that_passed_through_exec_is_status_130():
 @WITH_SIGNALS
 def test_sigterm_is_an_interrupt_unless_it_is_ignored(capsys):
     def work():
+        """A command that is told to end while it works."""
         os.kill(os.getpid(), signal.SIGTERM)
         time.sleep(0.5)
 
