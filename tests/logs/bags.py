@@ -78,6 +78,7 @@ def write_json_mcap(path, steps=200, chunk=2000, payload=0, start=1_000_000_000,
     from mcap.writer import CompressionType
 
     def messages():
+        """(topic, time [ns], content) of each message in order."""
         for k in range(steps):
             time = start + k * 100_000_000
             stage = k // 20 % 3

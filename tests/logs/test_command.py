@@ -85,6 +85,7 @@ def without(log, *names):
 
 @pytest.fixture()
 def log_map(tmp_path):
+    """A map for the readings of `made`, with `KNOWN`."""
     return read_map(
         write_map(
             tmp_path, {"wheel": {"radius": 0.15, "width": 0.15, "body_mass": 15.3}, "soil": KNOWN}
@@ -195,6 +196,7 @@ def test_findings_say_what_was_learnt(log_map):
     log = made(VARIED, noise=1.0)
     part = without(log, "drawbar_pull", "torque")
     logs = (log, part, without(part, "sinkage"), without(log, "sinkage"))
+    # Standard deviations over those of the prior; 1: nothing learnt.
     found = [replay(x, log_map) for x in logs]
     whole, kinematic, blind, unseen = (x.learnt() for x in found)
     assert whole["friction_angle_deg"] < 0.8 and whole["shear_modulus"] < 0.8
@@ -244,6 +246,7 @@ def test_an_estimate_of_no_soil_is_refused_in_one_line(log_map, monkeypatch, nam
     update = OnlineIdentifier.update
 
     def absurd(self, readings):
+        """`update`, with an impossible value from 3 to 3.5 s and after 7 s."""
         estimate = update(self, readings)
         far = readings.time > 7.0 or 3.0 < readings.time < 3.5
         return replace(estimate, **{name: value}) if far else estimate

@@ -25,6 +25,7 @@ class SteppedSpeed(ConstantSpeed):
     hold = 2.5  # [s]
 
     def rim_speed(self, observation, state):
+        """Rim speed [m/s], [n], by the time since the course of each began."""
         t = np.where(state["fresh"], 0.0, state.get("time", 0.0) + self.period)
         state["time"] = t
         return self.top_speed * self.shares[(t / self.hold).astype(int) % self.shares.size]

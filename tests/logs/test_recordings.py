@@ -72,8 +72,8 @@ def test_the_identifier_on_the_bag_gives_what_it_gave_online(drives, storage):
 
 
 def test_a_bag_of_several_files_with_and_without_metadata(tmp_path):
-    """Split by the recorder, whose metadata names the files in order; without it, as after a power
-    cut, or where it has more values than a file may; a file compressed as a whole is refused.
+    """Split by the recorder, whose metadata names the files in order. It may be missing, as after a
+    power cut, or have more values than a file may. A file compressed as a whole is refused.
     """
     folder = tmp_path / "bag"
     folder.mkdir()
@@ -278,6 +278,9 @@ def test_a_damaged_message_is_left_out_and_named(tmp_path, damaged):
     header = not isinstance(damaged, bytes)
 
     def messages(wrong):
+        """Twenty messages of each topic, of which those of /drive with a number in `wrong` are
+        damaged.
+        """
         for k in range(20):
             at = 100 * NS + k * NS // 10
             own = {"header": {"stamp": {"sec": at // NS, "nanosec": at % NS}}} if header else {}
@@ -401,14 +404,16 @@ def test_more_work_than_a_plain_bag_takes_is_ended(drives, tmp_path, monkeypatch
 
 
 def stamped(path, delay, back=20, odom=None):
-    """Write 20 messages, 0.1 s apart, of /drive, which has stamps of its own and is recorded
-    `delay` [s] later, and of /odom, which has none, or stamps `odom` [s] before its recording.
+    """Write 20 messages, 0.1 s apart, of /drive and as many of /odom; return the MCAP file's path.
 
-    From message `back` on, counted from 0, the clock of the stamps of /drive is set back by a
-    second. The wheel speed of message 7 is infinite. Returns the path of the MCAP file.
+    /drive has stamps of its own and is recorded `delay` [s] later, at the times of /odom. /odom has
+    no stamps, or stamps `odom` [s] before its recording. From message `back` on, counted from 0,
+    the clock of the stamps of /drive is set back by a second. The wheel speed of message 7 is
+    infinite.
     """
 
     def header(at):
+        """Header with the stamp `at` [ns]."""
         return {"stamp": {"sec": at // NS, "nanosec": at % NS}}
 
     def messages():
