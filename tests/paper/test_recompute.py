@@ -27,6 +27,7 @@ def half_digit(form: str) -> float:
 
 @pytest.fixture(scope="module")
 def results():
+    """All of the paper computed anew, with 1000 draws of noise."""
     return compare.compute(seed=3, draws=1000)
 
 
@@ -83,9 +84,11 @@ def bounded(start):
     bounds = np.transpose([np.radians([1.0, 89.0]), np.log([2e-4, 0.3]), np.log([1e3, 1e13])])
 
     def soil(x):
+        """(phi [deg], K [m], S) of the unknowns (phi [rad], ln K, ln S)."""
         return math.degrees(x[0]), math.exp(x[1]), math.exp(x[2])
 
     def misfit(x):
+        """Relative errors [3] of the drawbar pull at the three points."""
         return compare.prediction(soil(x), FIXED_COHESION[0])[:, 0] / MEASURED.pull - 1.0
 
     x = math.radians(start[0]), math.log(start[1]), math.log(start[2])
