@@ -80,7 +80,7 @@ def compiled(module, tmp_path_factory):
 
 @pytest.fixture()
 def kept(compiled, tmp_path):
-    """A copy of that code, where `call` finds it."""
+    """Folder of a copy of the code of `compiled`, where `call` finds it."""
     return shutil.copytree(compiled, tmp_path / "cache")
 
 
@@ -90,6 +90,7 @@ def start(module, tmp_path):
     env = environment(module, tmp_path / "cache")
 
     def start(code=CALL, stderr=subprocess.PIPE):
+        """The process, begun; its output is text in a pipe."""
         command = [sys.executable, "-c", code]
         return subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=stderr, text=True)
 
@@ -98,9 +99,10 @@ def start(module, tmp_path):
 
 @pytest.fixture()
 def call(start):
-    """A function that runs such a process to its end: (words that it prints, lines on stderr)."""
+    """A function that runs a process of `start` to its end."""
 
     def call(code=CALL):
+        """(words that the process prints, lines on stderr)."""
         out, said = start(code).communicate(timeout=120)
         return out.split(), said.splitlines()
 
