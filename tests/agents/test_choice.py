@@ -61,6 +61,9 @@ def test_lines_taken_are_kept_with_what_became_of_them():
 
 
 def test_the_line_that_is_passed_more_often_gets_the_higher_score(monkeypatch):
+    """The odds that a route is passed rise with its third entry alone: the model comes to choose by
+    it. Only the network of the choice is changed.
+    """
     monkeypatch.setattr(choice, "PASSES", 60)
     model = ppo.build(load_scenario("two_lines"), "identified", WITH_ROUTES, 0)
     chooser = choice.Chooser(model, np.random.default_rng(0))

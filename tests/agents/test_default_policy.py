@@ -124,6 +124,9 @@ def test_other_tasks_are_refused():
 
 
 def test_weights_are_small_arrays_without_pickles(tmp_path):
+    """No ground of the training has the soils of `unseen`. A damaged file, and one whose arrays do
+    not fit, is refused.
+    """
     assert WEIGHTS.stat().st_size <= 1_000_000
     with np.load(WEIGHTS, allow_pickle=False) as archive:
         arrays = dict(archive)
@@ -133,7 +136,6 @@ def test_weights_are_small_arrays_without_pickles(tmp_path):
     for name, own in grounds.items():
         task = load_scenario(own["scenario"] or name, own["changes"])
         soils |= {*task.soils, *task.belief.soils}
-    # The soils of `unseen` are held out.
     assert not {"mars_simulant_dlr", "mars_slope_soil"} & soils and "unseen" not in grounds
     assert "mars_slope_soil" in load_scenario("unseen").soils
     bad = tmp_path / "bad.npz"

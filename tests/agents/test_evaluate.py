@@ -194,6 +194,9 @@ def test_a_module_in_the_current_folder_is_found(tmp_path, monkeypatch):
 
 
 def test_effects_of_a_world_and_the_limit_of_the_oracle(tmp_path, capsys):
+    """`limit` has what the oracle finishes of the first courses, and `nobody`, the numbers of those
+    that neither it nor a controller finishes.
+    """
     world = ROOT / "configs/worlds/bulldozing.yaml"
     more = [f"--model={world}", "--oracle-courses=2", "--courses=3"]
     assert evaluate(tmp_path / "with", "soft_start", *more) == 0

@@ -16,8 +16,8 @@ from soil_env_agents.evaluate.warning import KEPT, RELEASE, Foresight
 
 
 def spell(share=0.0, seconds=1.0, halted=False, goes_on=True):
-    """Control periods of (probability over the threshold of the alarm, halted, getting further at
-    0.1 m/s).
+    """Control periods of 0.1 s, [(probability over the threshold of the alarm, halted, True if the
+    wheel gets further at 0.1 m/s)].
     """
     return [(share, halted, goes_on and not halted)] * round(10 * seconds)
 
@@ -48,6 +48,9 @@ LEADS = {  # name: (script, distance [m] and time [s] from the alarm to the last
 
 @pytest.mark.parametrize("name", LEADS)
 def test_an_alarm_comes_on_and_goes_off_after_a_while_of_driving(name, monkeypatch):
+    """Scripts of `LEADS`, in control periods of 0.1 s; a wheel that goes on gets 0.01 m further in
+    each.
+    """
     scenario = load_scenario("mixed", {"control": {"action": "torque"}})
     assert (KEPT, RELEASE, scenario.control.period) == (0.5, 1.0, 0.1)
     foresight = Foresight(scenario, 1)
