@@ -145,6 +145,9 @@ def test_contact_geometry_agrees_with_adaptive_quadrature(effect, exit_, shift):
 
 
 def test_deeper_sinkage_with_stresses_scaled_to_the_load():
+    """`slid_distance` by its formula; forces are those of a softer soil that bears the load at the
+    deeper sinkage.
+    """
     before = table()[0]
     out = table(hidden("slid_distance", 0.2))
     entry = np.arccos(1.0 - before / 0.15)
@@ -186,7 +189,7 @@ def test_softening_follows_its_law(effect, law):
 
 
 def test_lugs_shear_the_soil_at_their_sides_and_push_on_it():
-    h = 0.02 / 0.12
+    h = 0.02 / 0.12  # height of a lug over the width of the wheel
     cohesion = 1500.0 * (1.0 + 2.0 * h)
     friction = TAN * (1.0 + 0.64 * h * (0.5 * math.pi - math.atan(h)))
     out = table(hidden("sheared_sides", 0.02))
@@ -197,7 +200,7 @@ def test_lugs_shear_the_soil_at_their_sides_and_push_on_it():
 
     def force(t):
         """Force of the lugs in one rad over b r [Pa]; the passive pressure has N = 3."""
-        depth = 0.15 * (math.cos(t) - math.cos(entry)) + 0.005
+        depth = 0.15 * (math.cos(t) - math.cos(entry)) + 0.005  # of the middle of a lug
         pressure = 15696.0 * depth * 3.0 + 2.0 * 1500.0 * math.sqrt(3.0)
         return 18 / (2.0 * math.pi) * 0.01 / 0.15 * pressure * math.tanh(ROWS.slip[30] / 0.03)
 
@@ -279,6 +282,9 @@ def test_grade_takes_the_weight_component(name):
 
 
 def test_errors_of_sensors_and_drive():
+    """The channel that each form alters, by its formula, from the table without an effect; `side`
+    has the parameters of all forms.
+    """
     z, pull, torque = table()
     omega = ROWS.speed / (0.15 * (1.0 - ROWS.slip))
     slipping = replace(ROWS, slip=ROWS.slip * (1.2 - 0.2 * ROWS.slip))
@@ -313,6 +319,7 @@ def test_a_rig_that_yields_is_a_rigid_one_under_another_load(name, s):
 
 
 def test_wrong_radius_is_another_wheel_at_another_slip():
+    """The true radius is 6 % larger than the one from which the slip was found."""
     rows = replace(ROWS, slip=1.0 - (1.0 - ROWS.slip) / 1.06)
     expected = predict(GROUND, Wheel(0.159, 0.12), rows).stack()
     np.testing.assert_allclose(table(hidden("wheel_radius", 0.06)), expected, rtol=1e-8)

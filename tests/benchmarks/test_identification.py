@@ -11,6 +11,9 @@ from tests.refusals import refused_command
 
 
 def test_rows_are_finite_and_measured_once(tmp_path, monkeypatch, capsys):
+    """Two of the cases, of a wheel and of a rover: a second run measures nothing. The published
+    rows have the same keys.
+    """
     published = read_json(RESULTS / "identification.json")["rows"]
     every = study.cases()
     assert every.keys() <= published.keys()
