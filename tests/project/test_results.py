@@ -209,6 +209,7 @@ def test_identification_was_driven_by_the_rules_that_ship():
 
 
 def test_braked_wheels():
+    """Errors of the braked pull from a fit to driving rows are those of the results, by law."""
     laws = {
         "Eq. (10)": "Eq. (10)",
         "soil that flows, constants of the other rig": None,
@@ -231,6 +232,9 @@ def test_braked_wheels():
 
 
 def test_predictions():
+    """Errors that the text of the page and README state are those of the results, of the wheels
+    that the methods were chosen on and of fresh ones.
+    """
     names = {
         "Base model": "base model",
         "with a remainder": "base and remainder",
