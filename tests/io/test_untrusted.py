@@ -240,6 +240,9 @@ def test_weights_that_unpack_to_much_are_refused(saved, tmp_path, monkeypatch):
     [("grows", "shape"), ("loops", "operators Expand"), ("elsewhere", "other files")],
 )
 def test_a_graph_that_no_export_makes_is_refused(tmp_path, kind, words):
+    """Two vectors of 5000 that add up to 25 million numbers, an operator that no export has, and
+    data in another file.
+    """
     onnx = pytest.importorskip("onnx")
     pytest.importorskip("onnxruntime")
     from soil_env_agents.exported import ExportedAgent
@@ -310,6 +313,7 @@ def check_reading(read, content, folder, name, mutate=damaged):
 
 @pytest.mark.parametrize("kind", LOADERS)
 def test_damaged_text(tmp_path, kind):
+    """Of a kind of `LOADERS`: a shipped file, the beginning of a table, or a map."""
     if kind == "table":
         lines = (ROOT / "examples" / "data" / "rig.csv").read_bytes().splitlines(keepends=True)
         content = b"".join(lines[:12])
