@@ -32,7 +32,7 @@ def test_a_killed_worker_loses_nothing(tmp_path, engine):
 
 
 def test_work_under_way_is_interrupted_when_the_study_is(importable, tmp_path, monkeypatch):
-    """And an idle worker beside it is left alone."""
+    """The worker saves what it has; an idle one beside it is left alone."""
     monkeypatch.chdir(tmp_path)
     done = cells.processes(work.waiting, ["long", "short"], workers=2)
     assert next(done) == ("short", None)

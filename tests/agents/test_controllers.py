@@ -451,7 +451,7 @@ def test_a_class_is_made_for_the_actions_that_it_says():
 
 
 def test_a_video_has_a_frame_for_each_period_asked_for(tmp_path, capsys):
-    """As .mp4 too, of one drive and of several."""
+    """A file .mp4 of one drive, and of two side by side until the longer one ends."""
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
     periods = []
     for drivers in ("full_throttle", "full_throttle,gentle=soft_start"):

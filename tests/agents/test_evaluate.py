@@ -182,7 +182,7 @@ def test_settings_are_tuned_once_and_drive_the_held_out_courses_of_train(tmp_pat
 
 
 def test_a_module_in_the_current_folder_is_found(tmp_path, monkeypatch):
-    """And a class, a function that makes one, and an object drive alike."""
+    """An object, its class, and a function that returns it drive alike."""
     (tmp_path / "mine_of_test.py").write_text(
         f"from {DRIVERS} import Half\nhalf = Half()\ndef make(scenario):\n    return half\n"
     )

@@ -215,7 +215,7 @@ def test_an_action_that_differs_is_not_exported(tmp_path, run, capsys, monkeypat
 
 
 def test_a_full_temporary_folder_is_named(tmp_path, capsys, monkeypatch):
-    """It may be full where --out is not."""
+    """The export is tried there first; it may be full where --out is not."""
     full = Mock(side_effect=OSError(28, "full"))
     monkeypatch.setattr(files, "_bytes", full)
     monkeypatch.setattr(Path, "write_bytes", full)

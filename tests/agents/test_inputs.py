@@ -157,7 +157,7 @@ def test_a_class_is_remembered_by_what_it_felt_like_while_driving():
 
 
 def test_exchanged_lines_give_the_opposite_choice():
-    """And entries that are of no route do not count; they do where no route is chosen."""
+    """Where a route is chosen, entries of no route do not count; elsewhere they do."""
     model = learnt(load_scenario("two_lines"), history=2)
     env = model.get_vec_normalize_env()
     names = env.get_attr("observation_names")[0]

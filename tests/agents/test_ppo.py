@@ -235,7 +235,9 @@ def test_a_model_of_another_task_is_refused(tmp_path, scenario):
 
 @pytest.mark.parametrize("place", ["vecnormalize.pkl", "p/vecnormalize.pkl"])
 def test_a_model_of_normalised_observations_is_refused(tmp_path, scenario, place):
-    """By the file of their moments, beside it or where rl-baselines3-zoo writes it."""
+    """It is known by the file of their moments, which lies beside it or where rl-baselines3-zoo
+    writes it.
+    """
     small(A2C, SoilWheelVecEnv(2, scenario, "blind")).learn(100).save(tmp_path / "p.zip")
     (tmp_path / place).parent.mkdir(exist_ok=True)
     (tmp_path / place).touch()

@@ -51,7 +51,7 @@ def test_every_number_is_that_of_the_vector_environment(own, native):
 
 @OWN
 def test_a_truncated_course_is_told_from_one_that_ended(own):
-    """By the keyword of the vector environment and by a wrapper of it."""
+    """Truncated by `max_episode_steps`, and by a wrapper of the vector environment."""
     env = own(3, observation="blind", max_episode_steps=4)
     env.seed(1)
     env.reset()

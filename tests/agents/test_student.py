@@ -16,8 +16,8 @@ from tests.agents.learnt import WITH_ROUTES as CONFIG
 
 
 def test_the_teacher_sees_what_an_environment_with_the_true_soil_observes():
-    """But for the error of the camera in where the patch begins; also where there are several
-    worlds.
+    """Number by number, in two worlds at once. The camera has no error in where a patch begins,
+    which is the only difference.
     """
     scenario = load_scenario("two_lines", {"camera": {"border_noise": 0.0}})
     worlds = hidden_worlds(scenario, 2, 0)

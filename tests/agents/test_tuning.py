@@ -148,7 +148,7 @@ def test_a_range_that_cannot_be_drawn_from_is_refused(ends, said, monkeypatch):
 
 
 def test_a_class_that_fails_in_a_tuning_is_an_error_of_one_line(tmp_path, monkeypatch, capsys):
-    """As in an evaluation."""
+    """The error names the class and the line of its file, as in an evaluation."""
     monkeypatch.syspath_prepend(str(tmp_path))
     code = """
 from soil_env_agents.controllers import Controller, Setting

@@ -61,7 +61,7 @@ def test_the_threshold_is_the_lowest_with_so_few_false_alarms():
 
 
 def test_probabilities_are_those_of_the_environment(monkeypatch):
-    """Of the same network in compiled code."""
+    """The training computes the network as the compiled code of the identifier does."""
     given = []
     assess = ImmobilisationWarning.assess
 
