@@ -294,7 +294,7 @@ def test_run_goes_on_where_it_stopped(tmp_path, monkeypatch, capsys):
 
 
 def test_processes_of_the_command_find_their_work(tmp_path):
-    """They do not import the main module of a package, so what they call has to be in a named
+    """Processes do not import the main module of a package, so what they call has to be in a named
     one.
     """
     options = ["run", "--entrant", f"{__name__}:says_grade", "--limit", "1", "--jobs", "2"]
