@@ -124,7 +124,9 @@ def test_the_versions_that_were_run_are_in_the_range_of_each_dependency():
 
 
 def test_the_image_has_the_extras_of_every_command():
-    """But `ray`, for a cluster: all else that is no extra of contributors, or contained in one."""
+    """All extras but those of contributors, `ray`, for a cluster, and `tune`, which `train`
+    contains.
+    """
     text = (ROOT / "Dockerfile").read_text(encoding="utf-8")
     extras = set(PROJECT["optional-dependencies"]) - {"test", "docs", "dev", "tune", "ray"}
     assert set(re.search(r"\.whl\)\[([\w,]+)\]", text)[1].split(",")) == extras
@@ -158,7 +160,7 @@ def imported(*folders):
     ],
 )
 def test_what_is_imported_is_declared(folders, extras):
-    """Not only what a dependency happens to need, which has bounds of its own."""
+    """A package that only a dependency needs is not enough: it has bounds of its own."""
     declared = {canonicalize_name(requirement.name) for requirement in required(*extras)}
     known = metadata.packages_distributions()
     for module in imported(*folders):
@@ -191,8 +193,8 @@ def test_no_module_is_twice_in_a_process():
 
 
 def test_the_installed_package_has_the_same_names(tmp_path):
-    """And no others: `agents`, a name of the distribution openai-agents, and `configs` are not
-    importable outside.
+    """`agents`, a name of the distribution openai-agents, and `configs` are not importable outside
+    a clone; the command and the configs are there.
     """
     try:
         metadata.version("soil_env")

@@ -336,7 +336,9 @@ def test_discovery_says_what_does_not_count():
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
 def test_make_results_takes_no_result_of_other_code(importable):
-    """What goes on where it was interrupted works in a folder of this code alone."""
+    """Each command that can go on after an interruption has a folder named by the version of the
+    code.
+    """
     of_make = ("MAKEFLAGS", "MFLAGS", "QUICK")  # of `make results QUICK=1`, which runs this test
     environment = {name: v for name, v in os.environ.items() if name not in of_make}
     command = ["make", "-n", "results", f"PY={sys.executable}"]
