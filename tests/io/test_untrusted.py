@@ -224,7 +224,7 @@ def test_a_zip_that_is_none(saved, tmp_path, content, words):
 
 
 def test_weights_that_unpack_to_much_are_refused(saved, tmp_path, monkeypatch):
-    """Of a default policy, and of a model: 80 MB of zeros in 80 kB."""
+    """Weights of a default policy, 80 MB of zeros in 80 kB, and those of a model, 10 MB."""
     from soil_env_agents.default_policy import DefaultPolicy
 
     np.savez_compressed(tmp_path / "w.npz", made="{}", mean=np.zeros(10**7))
