@@ -160,7 +160,7 @@ def test_a_gap_starts_the_identifier_anew(log_map):
 
 
 def test_no_line_of_a_picture_leads_over_a_gap():
-    """Nor is a point lost: first, last and those beside the gap are drawn."""
+    """First and last point and those beside the gap are drawn, few of very many others."""
     time = np.array([0.0, 0.1, 0.2, 30.0, 30.1])
     drawn, shown = _drawn(time, 0.1)
     assert np.array_equal(shown, [0.0, 0.1, 0.2, math.nan, 30.0, 30.1], equal_nan=True)
@@ -173,7 +173,7 @@ def test_no_line_of_a_picture_leads_over_a_gap():
 
 
 def test_a_gap_that_the_map_allows_warns_of_nothing(log_map):
-    """Nor does the shortest period, of which whole numbers are rounded."""
+    """A gap of 15 s where 60 s are allowed, and the shortest period, whose steps are rounded."""
     allowed = replace(log_map, restart_gap=60.0)
     log = made(VARIED)
     with warnings.catch_warnings():
@@ -208,7 +208,9 @@ def test_findings_say_what_was_learnt(log_map):
 
 
 def test_a_motor_torque_without_inertia_is_left_out(log_map):
-    """And said so, in one line; with the inertia it identifies what the torque does."""
+    """One line of the findings says so. With the inertia it narrows the estimate of K; a channel
+    without a reading is not mentioned.
+    """
     log = made(VARIED, noise=1.0)
     none = without(log, "drawbar_pull", "torque")
     motor = replace(none, readings=none.readings | {"motor_torque": log.readings["torque"]})
@@ -266,8 +268,8 @@ def test_an_estimate_of_no_soil_is_refused_in_one_line(log_map, monkeypatch, nam
 
 
 def test_the_setup_of_a_log_has_the_belief_as_priors(without_digging, tmp_path):
-    """As the identifier of tables reads them: the same mean and standard deviation, of K and S in
-    their logarithm.
+    """The identifier of tables reads the same mean and standard deviation from it, of K and S in
+    their logarithm; what the map knows stays known.
     """
     log_map = without_digging
     log = made([(s, 4.0) for s in (0.1, 0.3, 0.5)], noise=1.0)

@@ -221,7 +221,7 @@ def test_a_map_that_cannot_be_right_is_refused(tmp_path, changes, named):
 
 
 def test_an_unknown_topic_is_named_as_it_is_written(tmp_path):
-    """Also where its name or that of the folder has the word key."""
+    """The message keeps the word "key" in the name of a topic and of a folder."""
     folder = tmp_path / "keys"
     folder.mkdir()
     bag = write_json_mcap(folder / "a.mcap", steps=4)
@@ -231,7 +231,7 @@ def test_an_unknown_topic_is_named_as_it_is_written(tmp_path):
 
 
 def test_a_name_in_brackets_may_have_dots(tmp_path):
-    """As the joints of some robot descriptions."""
+    """Joints of some robot descriptions have names with dots."""
     joints = {"name": ["left.rear", "left.front"], "velocity": [9.0, 2.0]}
     rows = [("/joints", k * NS // 10, joints | {"twist": {"x": 0.2}}) for k in range(1, 20)]
     bag = write_mcap(tmp_path / "a.mcap", rows)
@@ -647,7 +647,7 @@ def test_a_table_as_a_spreadsheet_writes_it(tmp_path):
 
 
 def test_a_slip_that_leads_to_no_speed_of_a_wheel_is_left_out(tmp_path):
-    """And a channel without any value counts as not measured."""
+    """A warning counts the steps; a channel without any value counts as not measured."""
     log_map = read_map(write_map(tmp_path, COLUMNS))
     log = read_csv(tmp_path, "".join(lines(0.1 * np.arange(30))))
     del log.readings["speed"]
