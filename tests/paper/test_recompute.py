@@ -70,7 +70,7 @@ def test_simpson_converges_to_the_quadrature():
 @pytest.mark.parametrize("e", FIXED_COHESION)
 @pytest.mark.parametrize("soil", [(30.0, 0.03, 4e5), (100.0, 0.06, -2e5)])
 def test_derivatives_against_central_differences(e, soil):
-    """Also outside what a soil can be: the plain iteration goes there."""
+    """At a soil and outside what a soil can be, where the plain iteration goes."""
     at = model.forces(soil, *MEASURED[:2], e)[:, 3:6] * [math.pi / 180.0, 1.0, 1.0]
     for k, step in enumerate(1e-5 * np.diag(soil)):
         ahead, behind = (compare.prediction(np.add(soil, s * step), e)[:, 0] for s in (1, -1))
@@ -255,7 +255,7 @@ def test_torque_of_the_load_balance_against_the_independent_judge():
 
 
 def test_the_sand_of_fig_8_is_passable_at_small_slips():
-    """Until the slips that the page states."""
+    """By the six sets of soil and equations up to slips of 0.35 to 0.69, as the page states."""
     torques = [compare.torque(soil, e) for k in (0, 1) for soil, e in compare.sets(k).values()]
     ends = [compare.SLIPS[P.available_torque < T][0] for T in torques]
     assert (min(ends), max(ends)) == (pytest.approx(0.35), pytest.approx(0.69))
