@@ -117,7 +117,9 @@ def test_stresses_sum_to_the_forces_on_every_wheel(rover, command):
 
 @pytest.mark.parametrize("rover", [None, "field_rover"])
 def test_ruts_lower_the_ground_behind_the_wheels(rover):
-    """By their depth; ahead of the wheels the picture is as without."""
+    """The sky behind the last wheel is higher by their depth in pixels; ahead of the wheels ruts
+    change nothing.
+    """
     simulation, view = start(rover, {"course": {"grade_deg": [-1.0, 0.0]}})
     drive(simulation, view, 60)
     with_rut = view.draw(simulation)
