@@ -154,7 +154,7 @@ def test_arms_are_trained_by_the_config_and_judged_as_they_drive(finished):
 @pytest.mark.parametrize("elsewhere", [False, True])
 def test_lost_cells_are_done_again_and_give_the_same(finished, copied, elsewhere):
     """The work can be sent to other processes and, with `elsewhere`, to machines that do not share
-    the folder: then the model of a lost cell is made again although it is there.
+    the folder. There the model of a lost cell is made again although it is here.
     """
     for name in ("mixed-true_soil-1", "mixed-full_throttle-0", "mixed-identified-0"):
         (copied / "cells" / f"{name}.json").unlink()

@@ -90,8 +90,8 @@ def test_agents_and_rules():
         # The results have the opposite difference: the rule less the agent.
         value, low, high = ahead[ground, rule.strip("`")]
         assert numbers(difference) == [-value, -high, -low], ground
-        blind = ("constant_torque", "soft_start", "best_route", "best_slip_identified")
-        assert known[ground, rule.strip("`")] == max(known[ground, arm] for arm in blind)
+        rivals = ("constant_torque", "soft_start", "best_route", "best_slip_identified")
+        assert known[ground, rule.strip("`")] == max(known[ground, arm] for arm in rivals)
 
 
 def test_the_page_of_studies_has_the_figure_of_the_results():
