@@ -213,9 +213,9 @@ def _nodes(found: Prediction, coarse: float) -> dict[str, np.ndarray]:
     """Nodes of the remainder's table by condition that varies, in units of a measurement table.
 
     Slip and load go beyond the measured range, in steps `coarse` times the usual; those of the load
-    are of its logarithm. Slip has a node at 0 if measured slips lie on both sides of it, begins at
-    0 where no row is braked, and is within ±`MOST_SLIP`. Other conditions have at most `FEW` of
-    their measured values, evenly picked.
+    are of its logarithm. Slip has a node at 0 if others lie on both sides of it, begins at 0 where
+    no row is braked, and is within ±`MOST_SLIP`. Other conditions have at most `FEW` of their
+    measured values, evenly picked.
     """
     problem = found.problem
     out = {}
@@ -230,7 +230,7 @@ def _nodes(found: Prediction, coarse: float) -> dict[str, np.ndarray]:
         if name == "slip":
             start = max(low - BEYOND_SLIP, -MOST_SLIP) if low < 0.0 else 0.0
             end = min(high + BEYOND_SLIP, MOST_SLIP)
-            ends = [start, *([0.0] if start < 0.0 < high else []), end]
+            ends = [start, *([0.0] if start < 0.0 < end else []), end]
             parts = [np.linspace(a, b, math.ceil((b - a) / step) + 1) for a, b in pairwise(ends)]
             out[name] = np.unique(np.concatenate(parts))
         elif name == "load":

@@ -294,6 +294,8 @@ def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[f
     It is marginal over the sizes and spans of the base law's error. The form error of the effects
     has the most probable size of `first`, and the added effect has none.
     """
+    if not choices:
+        return []
     further = _Further(problem, first, choices)
     one_sided = np.array([u.low >= u.mean for u in further.unknowns])
     strengths = [np.flatnonzero(np.array(further.owner) == k) for k in range(len(choices))]

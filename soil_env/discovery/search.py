@@ -115,7 +115,7 @@ class Finding:
 
     def without(self, names: Names, alone: bool = False) -> Finding:
         """The finding once these effects, together, are refuted; the probabilities of what is left
-        sum to 1. They are equal if all that is left had the probability 0.
+        sum to 1. They are equal if all that is not refuted had the probability 0.
 
         All sets with these effects are left out. With `alone`, only the set of exactly these
         effects is refuted: sets with more may explain what it leaves. It stays as a hypothesis with
@@ -134,7 +134,10 @@ class Finding:
             [np.multiply((h.probability, *h.if_laws_err), not refuted(h)) for h in left]
         )
         total = share.sum(axis=0)
-        share = np.where(total > 0.0, share / np.maximum(total, _LEAST_SUM), 1.0 / len(left))
+        equal = np.array([[float(not refuted(h))] for h in left])
+        if not equal.any():  # nothing else is left
+            equal += 1.0
+        share = np.where(total > 0.0, share / np.maximum(total, _LEAST_SUM), equal / equal.sum())
         kept = [
             replace(h, probability=p, if_laws_err=tuple(others))
             for h, (p, *others) in zip(left, share.tolist(), strict=True)

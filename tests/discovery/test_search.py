@@ -131,6 +131,8 @@ def test_refuted_effects_leave_their_probability_to_the_others():
     # The pair may explain what the effect by itself leaves.
     alone = found.without(("a",), alone=True)
     assert alone.share("a", "b") == pytest.approx(0.75) and alone.best("a").probability == 0.0
+    sure = stated({"a": 1.0, "": 0.0}).without(("a",), alone=True)  # all goes to the other
+    assert {h.names: h.probability for h in sure.hypotheses} == {(): 1.0, ("a",): 0.0}
     certain = stated({"a": 1.0, "": 0.0, "?": 0.0}).without(("a",))
     assert [h.probability for h in certain.hypotheses] == [0.5, 0.5]
 
