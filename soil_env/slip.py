@@ -139,8 +139,8 @@ def slip_of_radius(slip, scale):
 
 
 def slips_of_radius(slip: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """`slip_of_radius` for arrays: slips [N] by the radius r', from slips [N] by the radius r and
-    r/r' [N].
+    """`slip_of_radius` for arrays: slips [N] by the radius r', from `slip` [N] by the radius r and
+    `scale` [N], which is r/r'.
     """
     ratio = scale * travel_speeds(1.0, slip)
     with np.errstate(divide="ignore"):  # 1/0 of the other branch

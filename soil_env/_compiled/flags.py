@@ -2,9 +2,9 @@
 
 Compiled functions are plain Python on numbers, named tuples and numpy records; with
 NUMBA_DISABLE_JIT=1 the same code runs without a compiler. A function that Python calls compiled is
-decorated by `cache.kept`, all others by `compiled` and the like: numba compiles those where a
-compiled function calls them, and to Python they are the plain functions that they were. What to
-know of numba here:
+decorated by `cache.kept`, all others by `compiled` and the like. Numba compiles those where a
+compiled function calls them. To Python they stay plain functions, but for those that are `inlined`:
+they are numba's own objects, with the plain function as `py_func`. What to know of numba here:
 
 - A function costs about a tenth of a second of compilation. Those that are called in one place are
   put into their callers (`inlined`).
@@ -53,8 +53,8 @@ def record(*numbers: str, **others: tuple[Any, ...]) -> np.dtype[Any]:
     shape). A type is a dtype or its text, a shape a number or a tuple.
 
     `array[k].name` reads a field in Python as in compiled code, `array["name"]` the field of all
-    records. Nothing is padded: a caller takes types of eight bytes, and those of four only where
-    all fields are aligned nevertheless.
+    records. Fields are not padded, so a caller should choose types of eight bytes. Types of four
+    bytes are for places where every field is aligned nevertheless.
     """
     fields: list[tuple[Any, ...]] = [(name, "f8") for name in numbers]
     # A shape 1 becomes (1,), since NumPy before 2.0 takes (type, 1) for the type alone.
