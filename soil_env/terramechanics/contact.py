@@ -317,7 +317,7 @@ def _complement_fast_travel(t):
 @compiled
 def carried_share(rim, travel, floor):
     """(share, its derivatives by `rim` and `travel`): speed of soil carried along the rim over the
-    travel speed, (1 - i)^3.
+    travel speed where a tan(phi) is 1, (1 - i)^3.
 
     The caller multiplies by a tan(phi), with a = `rim_flow`. Speeds and `floor` are in any one
     unit. 1 - i is V/(r w) driving and 2 - r w/V braking, 2 of a locked wheel. Where the rim turns
@@ -541,11 +541,11 @@ def turning_angle(nodes, rim, travel):
     """Angle [rad] inside the arc of `lay_nodes` at which the shear displacement j changes its sign;
     theta1 if none is found.
 
-    With a rear contact of more than half of the front one j may change its sign twice: only one
-    angle is found then, at times none, and the integral has a kink.
-
     j = 0 where the mean of cos, from that angle to the one where shear begins, is rim/travel.
     Newton's method, kept within the arc, starts from the series of that mean to second order.
+
+    With a rear contact of more than half of the front one j may change its sign twice. Only one of
+    these angles is found then, at times none, and the integral keeps a kink.
     """
     end = nodes.sheared_from
     _, cosine = sin_cos(end)
@@ -571,7 +571,7 @@ def _lay_split(nodes, turn):
     """Lay nodes of the arc of `lay_nodes` into `nodes.split`, in three zones.
 
     The arc is cut at the stress peak and at `turn` [rad], where the shear displacement changes
-    sign. Both give the integrands a kink, which nodes of one zone across it would not resolve.
+    sign. The integrands have a kink at both, which the nodes of a zone across it would not resolve.
     """
     split = nodes.split[0]
     r = nodes.radius
@@ -655,9 +655,10 @@ def _split_integrals(nodes, p, motion, turn, K, law):
 
 @compiled_sums
 def _integrals_under(nodes, p, motion, K, law, split):
-    """`shear_integrals` by exactly this `law`, None or a `ShearLaw`, each compiled on its own.
+    """`shear_integrals` by a `law` that is None or a `ShearLaw`, for each of which numba compiles
+    this function by itself.
 
-    It leaves in `nodes.turned` whether the arc was split.
+    `nodes.turned` becomes 1 if the arc was split, else 0.
     """
     nodes.turned = 0
     if split:
@@ -725,8 +726,9 @@ def forces(q, S, tan_phi, c, r, b, direction):
     coefficient S [N/m^(n+2)] and cohesion c [Pa]: Eqs. (1)-(3), with the resistance of Eq. (11),
     not (12).
 
-    That is the horizontal part of the normal stress as Eqs. (7) and (8) have it. Eq. (12) takes
+    The resistance is the horizontal part of the normal stress of Eqs. (7) and (8). Eq. (12) takes
     Eq. (7) for the whole arc.
+
     `direction` is the smoothed sign of the travel speed, 1 in a steady forward run. In reverse the
     horizontal part of the normal stress and the vertical part of the shear stress change sign.
     """

@@ -103,7 +103,7 @@ class WheelSoilModel(Checked):
     """A wheel on one soil: the base model of Eqs. (1)-(10), the effects that are on, and what they
     miss, as the terms of a residual law and as the table of a `remainder`.
 
-    `wheel`: a `ModelWheel`, or any wheel with a radius and a width, of which it has the sizes.
+    `wheel`: a `ModelWheel`, or any wheel with a radius and a width, as `ModelWheel.of` takes it.
     `effects` maps a name of the catalogue to its parameters; those left out are neutral.
     `soil.dig_gain` is the digging that the simulated world gives its soils; it is 0 in a model that
     was fitted to measurements, which has slip-sinkage as an effect. Without a soil a model is a set
@@ -161,7 +161,7 @@ class WheelSoilModel(Checked):
     def needed(self) -> dict[str, str]:
         """{condition: effect or law that depends on it}; of several the last one is named.
 
-        A prediction to which "speed" or "pass" in it is not given is refused.
+        `predict` refuses conditions without the "speed" or the "pass" that is needed.
         """
         by = {name: CATALOGUE[name].varies for name in self.effects}
         groups = [group for term in self.residual for group in term.powers]
@@ -176,12 +176,15 @@ class WheelSoilModel(Checked):
 
         `conditions`: a measurement table, or a mapping of arrays [N]; scalars count for every row.
         It has `slip` [-] and `load` [N] and, as far as they matter, `speed` [m/s], `pass`,
-        `grade_deg`, `wheel_radius`, `wheel_width`, `grouser_height` [m]. Raises `ParameterError`
-        for unknown or missing names and for values that are not finite or out of range. The speed
-        and the pass that an effect or the residual law depends on (`needed`) are missing unless
-        given in every row. Without an effect or law that goes with the grade, `grade_deg` changes
-        nothing, with a warning: the load counts as normal to the ground, and the pull as beyond the
-        weight along it. Warns (`OutsideValidity`) of conditions outside `validity`.
+        `grade_deg`, `wheel_radius`, `wheel_width`, `grouser_height` [m].
+
+        Raises `ParameterError` without a soil, for unknown or missing names, and for values that
+        are not finite or out of range. The speed and the pass that an effect or the residual law
+        depends on (`needed`) are missing unless given in every row.
+
+        Warns of conditions outside `validity` (`OutsideValidity`), and of a `grade_deg` that no
+        effect or law depends on. That grade changes nothing: the load counts as normal to the
+        ground, and the pull as beyond the weight along it.
         """
         if self.soil is None:
             raise ParameterError("WheelSoilModel: no soil: expected one, to predict with")
@@ -212,9 +215,10 @@ class WheelSoilModel(Checked):
         law = self.law
         fx = self.numbers
         supported = 0  # rows
-        # what the `SoilState` depends on: the width by S = k_c/b + k_phi
+        # What the `SoilState` depends on, by row: the width, by S = k_c/b + k_phi. Where strength
+        # depends on the pressure, radius and load too.
         bearing = c.wheels[:, 1:2]
-        if self.soil.reference_stress > 0.0:  # strength depends on the pressure
+        if self.soil.reference_stress > 0.0:
             bearing = np.column_stack([c.wheels[:, :2], c.load])
         for one in np.unique(bearing, axis=0):
             here = np.all(bearing == one, axis=1)  # rows of one `SoilState`
@@ -228,7 +232,8 @@ class WheelSoilModel(Checked):
             if self.residual or self.remainder is not None:
                 deviations = np.empty_like(values)
                 buried = DEEPEST * rows.wheels[:, 0]
-                felt = np.where(guess > 0.0, guess, buried)  # where there is none
+                # `predict_rows` leaves 0 where the soil does not carry the wheel
+                felt = np.where(guess > 0.0, guess, buried)
                 groups = _groups(rows, felt, floats(soil), self.gravity, fx)
                 _add_residual(law, groups, rows, values, deviations)
                 if self.remainder is not None:
@@ -308,7 +313,8 @@ def load_model(model: ModelLike) -> WheelSoilModel | None:
     return WheelSoilModel.load(model)
 
 
-_OFF = (("tyre", None), ("grip", 0.0))  # entries of a wheel without a tyre or a limit of grip
+# entries of a wheel without a tyre or a limit of grip, which a model.yaml leaves out
+_OFF = (("tyre", None), ("grip", 0.0))
 _OPTIONAL = {"speed": 0.0, "pass": 1.0, "grade_deg": 0.0}  # values where they are not given
 _SIZES = ("wheel_radius", "wheel_width", "grouser_height")  # those of the model if not given
 #: Name of a condition, its least and largest value, and what a message expects.
@@ -433,8 +439,10 @@ def _groups(rows, felt, soil, gravity, fx):
 
 
 def _within(table: ResidualTable, groups: np.ndarray) -> np.ndarray:
-    """[N, 1] bool, True for rows with all of their `GROUPS` [N, 7] between the first and the last
-    node of the table's axes, `AT_NODE` of the range beyond them included.
+    """True, in an array [N, 1], for rows whose `GROUPS` [N, 7] are all between the first and the
+    last node of the table's axes.
+
+    `AT_NODE` of the range of an axis beyond these nodes is included.
     """
     inside = np.ones((len(groups), 1), dtype=bool)
     for group, nodes in table.axes.items():

@@ -73,7 +73,9 @@ class Standing(NamedTuple):
     weight: float  # [N] of the wheel with its share of the body, along the vertical
     sin_grade: float  # uphill positive
     passes: float  # 1 = fresh soil
-    braked: float  # [of its travel] sliding that the soil piled ahead of a braked wheel answers to
+    # [of its travel] sliding, >= 0, at which a steady pile of soil ahead of a braked wheel would be
+    # as large as the present one
+    braked: float
     load: float  # [N] normal to the ground, for tyre, grip and the pressure of `Passage`
 
 
@@ -164,11 +166,11 @@ def lay_footing(nodes, arc, soil, load):
 
 @compiled
 def carried_along(footing, speed, rim_speed):
-    """(share of the travel speed at which soil is carried along the rim, its derivatives [s/m] by
-    the travel speed V and the rim speed u); three zeros on soil that does not flow.
+    """(share of the travel speed at which soil is carried along the rim, its derivative by the
+    travel speed V, that by the rim speed u [s/m]); three zeros on soil that does not flow.
 
-    `carry` of the `Footing` times `carried_share`, held below its `most_carried`. `speed` V and
-    `rim_speed` u in m/s.
+    The share is `carry` of the `Footing` times `carried_share`, held below `most_carried` of the
+    `Footing`. `speed` is V and `rim_speed` u, in m/s.
     """
     if footing.carry == 0.0:
         return 0.0, 0.0, 0.0
@@ -185,7 +187,8 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
     Eq. (1) is solved for S at the present sinkage, so that the load stays what it is. `nodes` and
     `footing` are of `lay_footing`; `law` is a `ShearLaw`, or None for Eq. (10). rim, travel and
     direction are those of `motion_from_speeds`, with soil that is carried along the rim. u is the
-    speed of the radius at which soil is sheared. `wheel` has radius, width and tyre of a `RIG`.
+    speed of the radius at which soil is sheared. Of `wheel`, a `RIG` of `simulation.world.wheel`,
+    radius, width and tyre are read.
     """
     r = nodes.radius
     lever = wheel.radius if on_tyre(wheel) else r  # the tread of a tyre moves at its own r w
@@ -193,6 +196,7 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
     rb = r * b
     c = footing.cohesion
     tan_phi = footing.tan_phi
+    # as `motion_from_speeds`, with derivatives
     square = rim_speed * rim_speed + REST_SPEED * REST_SPEED
     travel_v = 1.0 / math.sqrt(square)
     rim = rim_speed * travel_v
@@ -273,7 +277,7 @@ def _gripped(soil, arc, load, wheel):
 @compiled
 def _soil_and_arc(at, slip, soil, wheel, fx):
     """(`SoilState` as it is sheared, `Arc`, lift, bulldozing, blades), the last three as in
-    `ExtraForces`, 0 without effects. `at` is a `Standing`, `wheel` a `RIG`.
+    `ExtraForces`, 0 without effects. `at` is a `Standing`, `wheel` a `RIG` (as in `soil_reaction`).
 
     Effects change the soil; the stress peak of a braked wheel is shifted (`braked_shift`). Lugs
     shear the soil at a larger radius: its strength is multiplied by `shear_ratio`, K divided by it.
@@ -317,11 +321,14 @@ def reaction(nodes, footing, speed, rim_speed, wheel, extra, acting):
 
 @compiled
 def _at_the_axle(f, extra, speed, rim_speed, wheel, fx):
-    """`Reaction` at the axle of the contact's reaction `f`, whose rim speed and torque are those at
-    the radius where lugs shear the soil.
+    """`Reaction` at the axle, from the reaction `f` of the contact by `soil_reaction`.
 
     Without effects it is `f`. With them blades, bulldozing, residual forces and friction are added:
     `ExtraForces`, and `drive_friction`. Blades push at half the height of the lugs.
+
+    The derivatives of `f` by u are by the speed of the radius where lugs shear the soil, which is
+    `wheel.rim_ratio` times the rim speed. The torque of `f` has the radius of the contact as its
+    lever, and `wheel.shear_ratio` times that is the lever of the shear.
     """
     if fx is None:
         return f

@@ -3,8 +3,9 @@ dimensionless groups and as a table over them.
 
     sinkage / r, drawbar pull / W, torque / (W r)   +=   sum of  a  prod_g  group_g ^ p_g  +  table
 
-`discovery.prediction` makes such tables, with their standard deviations. Neither has a claim to
-hold outside the conditions it was found in, so every group is held inside the range it had there.
+`discovery.prediction` makes tables, with standard deviations. Neither terms nor a table have a
+claim to hold outside the conditions they were found in. So every group is held inside the range
+that it had there.
 """
 
 import math
@@ -122,7 +123,8 @@ class ResidualTable(Checked):
         return out
 
 
-#: Terms and a table as compiled code takes them, `RESIDUAL` [()], in their first places.
+#: Terms and a table as compiled code takes them, one record. Of the arrays of terms the first
+#: `terms` rows are in use, of `axis` and `count` the first `axes` entries.
 RESIDUAL = record(
     terms=("i8",),
     axes=("i8",),  # of the table; 0 without one

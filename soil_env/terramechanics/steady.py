@@ -138,10 +138,10 @@ class Point(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Conditions [N] of a table."""
+    """Conditions of N rows of a table."""
 
-    slip: np.ndarray
-    load: np.ndarray
+    slip: np.ndarray  # [N] as it is measured
+    load: np.ndarray  # [N] weight in newtons, along the vertical
     #: [N, 3] radius, width, grouser height [m], or [N, 6] with the last three fields of `Rim`.
     wheels: np.ndarray
     conditions: np.ndarray  # [N, 3] as `Conditions`
@@ -194,7 +194,7 @@ class _Balance(NamedTuple):
     along: float  # [N] weight along the slope
     ground: SoilState  # in contact, with all effects on soil
     soil: SoilState  # `ground` as the rim shears it, with lugs
-    #: ln of S over the slip-sinkage ratio to the power n: of the coefficient that dug soil offers
+    #: ln(S/k^n) with the slip-sinkage ratio k: ln of the sinkage coefficient that dug soil offers
     strength: float
     lift: float  # [m] depth excavated whatever the load
     apparent: float  # measured sinkage over z, 1 unless slip-sinkage is only `apparent`
@@ -357,8 +357,8 @@ def _solve_balance(nodes, balance, wheel, fx, guess):
     search that has not converged after `MOST_STEPS`, or whose bracket closes, gives its last point.
 
     `balance` is a `_Balance`, `guess` a sinkage [m] to start from, 0 for none, `fx` `Effects` or
-    None, `nodes` scratch. w are the `Forces` at x; x_old, misfit_old, w_old belong to the step
-    before.
+    None, `nodes` scratch. In the code w are the `Forces` at x; x_old, misfit_old and w_old belong
+    to the step before.
     """
     deepest = math.log(DEEPEST * wheel.radius)
     shallowest = SHALLOWEST_TYRE if on_tyre(wheel) else SHALLOWEST
@@ -436,13 +436,13 @@ def steady_at(nodes, point, soil, wheel, conditions, fx):
     """`Steady` sinkage, drawbar pull and torque as they are measured at a `Point`.
 
     `nodes` is a scratch record of `ARC_NODES`; `soil` the undisturbed `SoilState`; `wheel` a `Rim`;
-    `conditions` a `Conditions`; `fx` `Effects` or None. Eq. (1) is
-    solved for the sinkage, then Eqs. (2) and (3) follow. Digging deepens the hole at the same
-    bearing pressure: s z^n = S z_w^n with z = k z_w + l. Here k is the slip-sinkage ratio and l the
-    depth excavated whatever the load. So z carries the load when the coefficient s(z) that the load
-    mobilises is S ((z - l)/(k z))^n. The root of the difference of
-    the two logarithms is found by a bracketed secant in ln z, in which that difference is nearly
-    straight.
+    `conditions` a `Conditions`; `fx` `Effects` or None.
+
+    Eq. (1) is solved for the sinkage, then Eqs. (2) and (3) follow. Digging deepens the hole at the
+    same bearing pressure: s z^n = S z_w^n with z = k z_w + l. Here k is the slip-sinkage ratio and
+    l the depth excavated whatever the load. So z carries the load when the coefficient s(z) that
+    the load mobilises is S ((z - l)/(k z))^n. A bracketed secant in ln z finds the root of the
+    difference of their logarithms, which is nearly straight in ln z.
     """
     balance = _balance(true_slip(point.slip, fx), point.load, soil, wheel, conditions, fx)
     x, w, supported = _solve_balance(nodes, balance, wheel, fx, point.guess)
@@ -527,10 +527,10 @@ def predict_rows(
     """Write `steady_at` of every row into `out` [N, 3] (sinkage [m], drawbar pull [N], torque
     [N m]). Return the number of rows that the soil carries; the others sink to `DEEPEST` radii.
 
-    `guess` [N] has the sinkages to start from, 0 for none. It gets those of the contact (`felt`),
-    and 0 where the soil does not carry the wheel. `factors` [N, 4] multiply
-    tan(phi), cohesion, K and S of the soil row by row. `unit_weight` [N/m3] is that of the soil.
-    Columns of `rows` are contiguous.
+    `guess` [N] has the sinkages [m] to start from, 0 for none. It is overwritten by those of the
+    contact (`Steady.felt`), and by 0 where the soil does not carry the wheel. `factors` [N, 4]
+    multiply tan(phi), cohesion, K and S of the soil row by row. `unit_weight` [N/m3] is that of the
+    soil. Columns of `rows` are contiguous.
     """
     fx = switched_on(fx)
     if factors is None:
