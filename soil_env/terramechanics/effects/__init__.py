@@ -141,8 +141,8 @@ def pack_effects(effects: Mapping[str, Mapping[str, float]]) -> Effects:
 
 
 def switched_on(fx: Effects | None) -> Effects | None:
-    """The effects as compiled code takes them: None where all are neutral, which leaves their laws
-    out.
+    """The effects as compiled code takes them: None where all are neutral, since numba then leaves
+    their laws out.
     """
     return None if fx == NO_EFFECTS else fx
 
@@ -150,8 +150,8 @@ def switched_on(fx: Effects | None) -> Effects | None:
 def acting_effects(fx: Effects) -> Effects | None:
     """The effects that act on a wheel in a simulated world, as compiled code takes them.
 
-    Left out are those of its sensors, the weight on a slope, which the world has anyway
-    (`Effect.sensed`), and a slip-sinkage that is only `apparent`.
+    Left out are errors of its sensors and the weight on a slope, which the world has anyway (both
+    are in `Effect.sensed`), and a slip-sinkage that is only `apparent`.
     """
     sensed = (f"{effect.name}_{name}" for effect in CATALOGUE.values() for name in effect.sensed)
     fx = fx._replace(**{name: getattr(NO_EFFECTS, name) for name in sensed})
@@ -205,8 +205,8 @@ def drive_friction(torque, wheel_speed, floor, fx):
 
 @compiled
 def drive_torque(torque, wheel_speed, floor, fx):
-    """Torque [N m] at the motor for a torque at the axle: that and `drive_friction`, with the same
-    arguments.
+    """Torque [N m] at the motor for a `torque` [N m] at the axle: that torque plus that of
+    `drive_friction`, which has the same arguments.
     """
     return torque + drive_friction(torque, wheel_speed, floor, fx).torque
 

@@ -35,9 +35,10 @@ def friction_at(torque, wheel_speed, floor, fx):
 
 
 def _priors(bench: Bench) -> Priors:
-    """Priors of constant and viscous friction, in proportion to 0.3 of load times radius, about the
-    torque of a driven wheel; viscous friction has them at the median speed of the table. Own
-    choice.
+    """(standard deviation, low, high) of the priors of constant and viscous friction; own choice.
+
+    Both scale with 0.3 of load times radius, which is about the torque of a driven wheel. That of
+    viscous friction is divided by the wheel speed [rad/s] at the table's median speed.
     """
     torque = 0.3 * bench.load * bench.radius
     turning = max(bench.median_speed / bench.radius, SLOWEST_TURNING)

@@ -24,7 +24,8 @@ class EffectParameter:
     low: float  # in `unit`
     high: float
     #: Prior standard deviation, relative where `centre` is given; replaced where
-    #: `Effect.priors` gives it. 0 of one that is not fitted, or always given there.
+    #: `Effect.priors` gives one. 0 of a parameter that is not fitted, or to which `Effect.priors`
+    #: always gives one.
     scale: float
     doc: str
     unit: str = ""
@@ -76,7 +77,7 @@ class Effect:
     title: str
     parameters: tuple[EffectParameter, ...]
     forms: tuple[Form, ...]
-    moves: tuple[Channel, ...] = CHANNELS  # that it changes directly
+    moves: tuple[Channel, ...] = CHANNELS  # channels that it changes directly
     varies: str | None = None  # column that must vary in a table for the effect to show
     shows_without: bool = False  # shows, if faintly, also where that column does not vary
     #: Column, or the time elapsed, that it may depend on in a way that no form has.

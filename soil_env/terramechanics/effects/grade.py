@@ -16,8 +16,9 @@ LEAST_LEFT = 0.02  # [-] of 1 - |b|/phi, so that S stays > 0 on the steepest slo
 def weight_on_slope(load, sin_grade, fx):
     """(load normal to the ground, component downhill along it) [N] of the weight W = `load` [N].
 
-    On a grade b they are W cos(b) and W sin(b) at a `grade_share` of 1, of a vertical load, W and 0
-    at a share of 0, of a load that is normal already. Both are linear in the share.
+    On a grade b they are W cos(b) and W sin(b) at a `grade_share` of 1, which is for a vertical
+    load. They are W and 0 at a share of 0, for a load that is normal already. Both are linear in
+    the share.
     """
     normal = load * (1.0 - fx.grade_share * (1.0 - math.sqrt(1.0 - sin_grade * sin_grade)))
     return normal, fx.grade_share * load * sin_grade

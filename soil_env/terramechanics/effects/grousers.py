@@ -59,9 +59,11 @@ def blades_at(thrust, slip):
 
 
 def _priors(bench: Bench) -> Priors:
-    """Prior of `blades`, normal about 0 and not below it: the standard deviation is the lugs of the
-    wheel a radian, the upper bound twice that. Own choice: the soil between two lugs is shared by
-    them. Empty where the number of lugs is not known: the prior of the parameter stays.
+    """Prior of `blades` [1/rad], normal about 0 and not below it: the standard deviation is the
+    number of lugs a radian of rim, the upper bound twice that.
+
+    Own choice: the soil between two lugs is shared by them. Empty where the number of lugs is not
+    known: then the prior of the parameter stays.
     """
     if bench.lugs is None:
         return {}

@@ -12,7 +12,7 @@ LEAST_FACTOR = 0.1  # [-] of a strength by its rate, where the logarithm would e
 
 @compiled
 def rate_factor(speed, reference, exponent, slope):
-    """Strength at `speed` over strength at `reference` [m/s]: (v/v0)^m + a ln(v/v0).
+    """Strength or bearing at `speed` over that at `reference` [m/s]: (v/v0)^m + a ln(v/v0).
 
     One of the power m (`exponent`) and a (`slope`) is 0 in each published form. v/v0 counts as at
     least `LEAST_RATE`; the factor is at least `LEAST_FACTOR`.

@@ -31,7 +31,8 @@ def middle_pressure(bench: Bench) -> dict[str, float]:
     return {"reference_pressure": bench.pressure}
 
 
-#: Not fitted: `middle_pressure`.
+#: Reference pressure, also of `pressure_dependent_modulus`. It is not fitted: in a fit it is the
+#: `middle_pressure` of the table.
 REFERENCE = P("reference_pressure", "p0", 1.0, 1e7, 0.0, "reference pressure", "Pa", 1e4)
 EFFECT = Effect(
     "pressure_dependent_friction",

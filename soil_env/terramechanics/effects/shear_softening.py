@@ -48,8 +48,8 @@ def shear_length_ratio(fx):
 
 
 def _priors(bench: Bench) -> Priors:
-    """(standard deviation, low, high) of sharpness and onset, about their neutral values; own
-    choice. The onset scales with the wheel radius.
+    """(standard deviation, low, high) of the priors of sharpness and onset [m], about their neutral
+    values; own choice. The prior of the onset scales with the wheel radius.
     """
     return {
         "sharpness": (4.0, 1.0, 30.0),  # below 1 the law has no peak

@@ -40,8 +40,8 @@ def digging_ratio(slid, way, gain, recovery):
 
 @compiled
 def onto_fresh(x, low, high):
-    """Distance [m] by which a wheel at the place x [m] has left the section from `low` to `high`
-    that it had touched before; 0 within the section.
+    """Distance [m] of a wheel at the place x [m] from the section of ground, from `low` to `high`
+    [m], that it had touched before; 0 within the section.
     """
     return max(x - high, 0.0) + max(low - x, 0.0)
 
@@ -97,8 +97,9 @@ def excavated_depth(slip, fx):
 
 @compiled
 def dug(soil, passage, fx):
-    """`soil` with the exponent n + n1 |i|, at least 0, and the gain and recovery of `digging`; i is
-    the slip of a `Passage`, n1 the effect's `exponent_slope`.
+    """`soil` with the exponent n + n1 |i|, at least 0, and with the gain and recovery of `digging`.
+
+    i is the slip of a `Passage`, n1 the effect's `exponent_slope`.
     """
     n = max(soil.sinkage_exponent + fx.slip_sinkage_exponent_slope * abs(passage.slip), 0.0)
     gain, recovery = digging(soil, fx)

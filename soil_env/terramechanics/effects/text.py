@@ -35,7 +35,9 @@ def fitted(
     """
 
     def number(match: re.Match) -> str:
-        """The value of a parameter, in brackets if negative, with a unit or after a digit."""
+        """The value of a parameter as text, in brackets if it is negative, has a unit or follows a
+        digit.
+        """
         p = effect.parameter(match[1])
         text = plain(values[p.name], digits) + (f" {p.unit}" if units and p.unit else "")
         behind = form.equation[: match.start()].rstrip()
@@ -54,8 +56,10 @@ def used(form: Form) -> list[str]:
 
 
 def legend(effect: Effect, form: Form) -> dict[str, str]:
-    """{symbol: meaning} of the symbols in a form's equation, but for its parameters: those of
-    `SYMBOLS`, then those of the effect. A meaning of the effect replaces that of `SYMBOLS`.
+    """{symbol: meaning} of the symbols in a form's equation, its parameters left out.
+
+    Those of `SYMBOLS` come first, then those of the effect (`Effect.symbols`). A meaning of the
+    effect replaces that of `SYMBOLS`.
     """
     words = set(_WORD.findall(_PARAMETER.sub("", form.equation)))
     return {
