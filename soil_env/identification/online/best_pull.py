@@ -93,7 +93,7 @@ def renew_best_pull(memory, load, setting, work):
     variance = 1.0
     for k in range(SLIPS):
         x = memory.steady[k]
-        if x == 0.0:  # no sinkage is known yet
+        if x == 0.0:  # no sinkage is known yet: begin at the depth where pressures are compared
             x = math.log(setting.depth)
             for _ in range(FIRST_STEPS):
                 x, _, _ = _newton(x, SLIP[k], load, memory, setting, work)

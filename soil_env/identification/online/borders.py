@@ -113,7 +113,9 @@ def feel_border(memory, setting, work):
 @compiled
 def put_on_border(memory, cell, setting):
     """Set `place_error` [m] of a new cell, if it lies before the end of the last border or the
-    wheel is on one; its soil is then a blend.
+    wheel is on one.
+
+    A `place_error` above 0 marks a cell whose soil is a blend (`residuals`).
     """
     before_its_end = memory.borders > 0 and cell.place <= memory.border + 0.5 * setting.border
     if before_its_end or memory.crossing > 0.0:

@@ -65,9 +65,10 @@ def _merge(into, cell):
 
 @compiled
 def _apart(a, b):
-    """Squared distance [-] by which cells are kept apart: `_distance` if neither is on a border,
-    by their places (`ON_BORDER`) if both are, infinite if one is; so too if one has a sinkage and
-    the other has none.
+    """Squared distance [-] by which cells are kept apart.
+
+    It is `_distance` if neither is on a border, and that of their places (`ON_BORDER`) if both are.
+    It is infinite if only one is on a border, or if the sinkage of only one was measured.
     """
     if (a.sinkage_variance > UNKNOWN_SINKAGE) != (b.sinkage_variance > UNKNOWN_SINKAGE):
         return math.inf

@@ -46,12 +46,13 @@ def forget_classes(classes, setting):
 
 @compiled
 def remember_class(classes, c, patch, memory, setting):
-    """Renew class number `c` of a wheel's `CLASSES` by the estimate that the identifier's `memory`
-    has on the patch of this number; an earlier estimate from the same patch is replaced.
+    """Renew class number `c` of a wheel's `CLASSES` by the estimate in the identifier's `memory`,
+    made on patch number `patch`.
 
-    The sums are those of the module's docstring. The sd of the best pull counts `WIDER` times as
-    large. From the second patch on, chi-squared above 1 between this estimate and the patches
-    before widens the sd by its root. A quantity not better known than by the prior changes nothing.
+    It replaces an earlier estimate from the same patch. The sums are those of the module's
+    docstring. The sd of the best pull counts `WIDER` times as large. From the second patch on,
+    chi-squared above 1 between this estimate and the patches before widens the sd by its root. A
+    quantity not better known than by the prior changes nothing.
     """
     known = classes.of[c]
     mean = classes.before

@@ -77,7 +77,7 @@ def _write_prior(memory, setting, work, size):
 def _normal_equations(memory, setting, work, size):
     """Write normal matrix, its upper triangle, and gradient of prior and cells at `size` unknowns
     into `work.normal` and `work.gradient`. Return chi-squared (of the forces, of the law of
-    sinkage, of the residuals in further rows).
+    sinkage, of the residuals in rows after `SINKAGE`, of which there are none now).
 
     Only residuals of cells on a border depend on its place and on the old soil.
     """
@@ -142,11 +142,12 @@ def _apply_step(memory, setting, work, size):
 
 @compiled
 def _fall(work, size, length, share):
-    """Fall of chi-squared of the cells over a `share` of `work.step`, as the normal equations
-    predict it for `size` unknowns: that of cells and prior together, less that of the prior.
+    """Fall of chi-squared of the cells over a `share` of `work.step`, as the normal equations of
+    `size` unknowns predict it.
 
-    Gradients are minus half the slope of chi-squared. `length`: step times gradient, the squared
-    length of the whole step in standard deviations.
+    It is the fall of cells and prior together, less that of the prior. Gradients are minus half the
+    slope of chi-squared. `length`: step times gradient, the squared length of the whole step in
+    standard deviations.
     """
     step = work.step
     fall = share * (2.0 - share) * length
@@ -162,10 +163,11 @@ def renew(memory, setting, work):
     """Renew the unknowns `u` and the covariance of the soil by all cells, all in `memory`. Then
     renew `misfit` (of the forces), `law_misfit` (of the law of sinkage) and the form error.
 
-    A misfit is chi-squared over the number of its residuals. Chi-squared after the last step is the
-    one before it, less the fall that is predicted, by the same share for both. Where the
-    forces contradict the laws, the form error grows by the root of `misfit`, within `GROWS` and
-    `FASTEST`. Where they agree, it shrinks to the believed one.
+    A misfit is chi-squared over the number of its residuals, after the last step. Chi-squared there
+    is not computed anew: it is that before the step less the predicted fall (`_fall`). Forces and
+    law of sinkage fall by the same share. Where the forces contradict the laws, the form error
+    grows by the root of `misfit`, within `GROWS` and `FASTEST`. Where they agree, it shrinks to the
+    believed one.
     """
     # Behind a border the soil before it and the place of the border are unknowns too.
     size = ALL if memory.behind > 0 else HERE

@@ -47,8 +47,10 @@ PULL, TORQUE, LN_S = range(3)
 
 
 class Ground(NamedTuple):
-    """Soil as the forces depend on it at a given sinkage; the identifier knows the shear law from
-    `rim_flow` on.
+    """Soil as the forces depend on it at a given sinkage.
+
+    The fields before `rim_flow` are unknowns of the identifier; the others, of the shear law beyond
+    Eq. (10), are constants that it takes for known.
     """
 
     tan_phi: float
@@ -61,8 +63,8 @@ class Ground(NamedTuple):
     shear_length: float  # [m]
 
 
-#: Columns of the derivatives of these results: by the unknown fields of `Ground`, then by sinkage
-#: and slip.
+#: Columns of the derivatives of the results of `reaction`: by the unknown fields of `Ground`, then
+#: by sinkage and slip.
 OF_GROUND = Ground._fields.index("rim_flow")
 TANGENT, COHESION, EXPONENT, LN_K = range(OF_GROUND)
 BY_SINKAGE, BY_SLIP = range(OF_GROUND, OF_GROUND + 2)
@@ -194,12 +196,13 @@ def _derive(contact, i, sums, rim_change, travel_change, state):
 
 @compiled
 def reaction(contact, ground, sinkage, slip, load, r, b):
-    """Write pull [N], torque [N m] and ln S into `value` of a `CONTACT`, and their derivatives by
-    the unknowns of the ground, sinkage and slip into `by`, at a load that stays.
+    """Write pull [N], torque [N m] and ln S into `value` of a `CONTACT`, and their derivatives into
+    `by`.
 
-    The wheel has radius r and width b [m], and stands under a `load` [N] on a `Ground`, at a
-    `sinkage` [m] and a `slip` [-] above -1. S is the one that carries the load at this
-    sinkage, at least `LEAST_COEFFICIENT`.
+    The derivatives are by the unknowns of the ground, by sinkage and by slip, each while the load
+    stays what it is. The wheel has radius r and width b [m], and stands under a `load` [N] on a
+    `Ground`, at a `sinkage` [m] and a `slip` [-] above -1. S is the one that carries the load at
+    this sinkage, at least `LEAST_COEFFICIENT`.
     """
     nodes = contact.arc[0]
     t = ground.tan_phi

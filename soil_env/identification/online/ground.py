@@ -30,8 +30,7 @@ BEST_SLIP, MARGIN, MARGIN_SD, REQUIRED, AVAILABLE, PASSABLE = range(len(Traversa
 
 @kept
 def _assess(rows, estimate, sd, seen, setting, nodes, out):
-    """Compiled part of `assess_ground`, whose arguments the others are; `nodes` [1] `ARC_NODES`:
-    scratch.
+    """Compiled part of `assess_ground`, with its arguments and a scratch `nodes` [1] `ARC_NODES`.
 
     The margin is by the estimated best pull, slip and torque by the steady state on the estimated
     soil. Cohesion below 0 counts as 0, S is at most `STIFFEST`, the gain at most `MOST_DIGGING`.
@@ -57,7 +56,8 @@ def _assess(rows, estimate, sd, seen, setting, nodes, out):
         )
         load = max(seen[k, 0], LIFTED) * numbers.weight
         best = best_point_at(nodes[0], load, soil, wheel, LEVEL, None, numbers.stall_torque)
-        turns = best.drawbar_pull > -math.inf  # at some slip the motor has the torque
+        # at some slip the soil carries the load and the motor has the torque
+        turns = best.drawbar_pull > -math.inf
         margin = max(x[BEST_PULL] - math.tan(seen[k, 1]), -1.0) if turns else -1.0
         out[k, BEST_SLIP] = best.slip
         out[k, MARGIN] = margin

@@ -102,11 +102,13 @@ def _surprise(memory, setting, work):
     freedom.
 
     Their covariance is that of the residuals, with a larger error of the laws, and that of the
-    unknowns of the last fit. After a border its place and the old soil count as known.
+    unknowns of the last fit. After a border its place and the old soil count as without influence
+    on the cell.
     """
     e = residuals(memory.cells[memory.cells_kept], memory, setting, work)
     J = work.slopes
     det = e.pull_weight * e.torque_weight - e.joint_weight**2
+    # less 1, since the covariance of the residuals has the form error once
     error = (DOUBLED - 1.0) * memory.form_error**2 + FURTHER_ERROR
     # the weights are the inverse of a covariance, which is inverted here
     pp = e.torque_weight / det + error
@@ -191,7 +193,8 @@ def publish(u, V, into, memory, setting):
     out[PUBLISHED_LN_S] += u[EXPONENT] * below - setting.exponent * memory.ln_bearing
     variance = V[PRESSURE, PRESSURE] + below * below * V[EXPONENT, EXPONENT]
     at_depth = math.sqrt(max(variance + 2.0 * below * V[PRESSURE, EXPONENT], 0.0))
-    # The load gives the pressure of the soil: what is not known of it there is the bearing sinkage.
+    # The load gives the pressure at the bearing sinkage z_b, so z_b is what is not known there. The
+    # sd of ln z_b is `at_depth` over n; that of ln S is as much times the exponent of the belief.
     of_soil = setting.exponent / u[EXPONENT] * at_depth
     of_rut = RUT_ERROR * memory.compaction * (u[EXPONENT] + 0.5)
     sd[PUBLISHED_LN_S] = math.hypot(of_soil, of_rut)

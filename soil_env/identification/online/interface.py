@@ -80,7 +80,7 @@ class Estimate:
     cohesion_sd: float  # [Pa]
     dig_gain_relative_sd: float
     best_pull: float  # [of load] highest steady drawbar pull of this soil
-    best_pull_sd: float  # from the whole covariance: known better than the soil
+    best_pull_sd: float  # [of load] by the whole covariance: smaller than the soil's would suggest
     status: Status
     renewed: bool  # whether this call changed it
     borders: int  # to another soil that have been found
@@ -165,8 +165,8 @@ class OnlineIdentifier:
         return identifier
 
     def _set(self, scenario: Scenario) -> None:
-        """Prepare constants, memory and scratch of a scenario; `ParameterError` if it identifies
-        nothing.
+        """Prepare constants, memory and scratch of a scenario; `ParameterError` if the method of
+        its belief is "none".
         """
         self.scenario = scenario
         wheel = scenario.wheel
@@ -204,20 +204,20 @@ class OnlineIdentifier:
         return self._estimate
 
     def update(self, readings: Readings) -> Estimate:
-        """Take one set of readings; the estimate after it, renewed about every eighth time, on a
-        border every time.
+        """Take one set of readings and return the estimate after it, which about every eighth set
+        renews, and on a border every set.
 
-        Where a speed is neither measured nor known by the slip, only their time is taken.
+        Where a speed is neither measured nor known by the slip, only the time of the readings is
+        taken. Readings after which the estimate is not finite set the identifier back to the prior.
 
         Raises TypeError for anything but `Readings` of numbers. Raises ValueError for a time that
         is not later than the last, and for a reading that is infinite or larger than
-        `largest_readings`. An error changes nothing. Readings that lead to no soil at all start the
-        identifier anew. Warns of a time less than `SHORTEST_STEP` or more than `LONGEST_STEP` after
-        the last.
+        `largest_readings`. An error changes nothing. Warns of a time less than `SHORTEST_STEP` or
+        more than `LONGEST_STEP` after the last.
         """
         period, rim, speed = self._checked(readings)
         outcome = HELD
-        if rim == rim and speed == speed:
+        if rim == rim and speed == speed:  # neither is NaN
             self._put(readings, rim, speed)
             self._setting["period"] = period
             observe_all(self._memory, self._reading, self._setting, self._work, self._outcome)
@@ -243,11 +243,12 @@ class OnlineIdentifier:
         return soil_of_numbers(asdict(self._estimate), scenario.belief, scenario.gravity)
 
     def traversability(self, load: float | None = None, pitch: float = 0.0) -> Traversability:
-        """Drawbar margin at `pitch` [rad], uphill positive, by the best pull under the load that
-        was measured so far; best slip and torque under `load` [N], without one under the weight
-        times cos(pitch).
+        """`Traversability` of the identified soil at a `pitch` [rad], uphill positive.
 
-        A load below 5 % of the weight counts as 5 % of it, as in the environments.
+        The drawbar margin is by the best pull of the estimate, which is under the load that was
+        measured so far. Best slip and torque are those under `load` [N], without one under the
+        weight times cos(pitch). A load below 5 % of the weight counts as 5 % of it, as in the
+        environments.
 
         Raises ParameterError for a load that is no finite number above zero, and a pitch that is no
         finite number within a right angle.
@@ -320,8 +321,8 @@ class OnlineIdentifier:
         """(rim speed, travel speed) [m/s]; one that was not measured follows from a measured slip,
         of a wheel going forward, and is NaN without a slip.
 
-        A wheel with a slip of nearly 1 spins, with one of nearly -1 it is locked
-        (`LEAST_TRAVEL_RATIO`). The speed of the rim, or that of travel, does not follow then.
+        The rim speed does not follow from a slip of nearly 1, of a wheel that spins. The travel
+        speed does not follow from one of nearly -1, of a locked wheel (`LEAST_TRAVEL_RATIO`).
         Raises ValueError for speeds beyond `largest_readings`.
         """
         rim = r.wheel_speed * self._radius
@@ -342,8 +343,9 @@ class OnlineIdentifier:
         and `speed` [m/s] as `_speeds` returns them.
 
         A missing slip is that of both speeds; slips are cut to [-1, 1]. Any other missing reading
-        has the noise `UNMEASURED` and a substitute: the sinkage that the belief expects at slip 0,
-        the weight on the slope as load, 0 for pitch, forces, torques and acceleration.
+        has the noise `UNMEASURED` and a substitute. That is the sinkage which the belief expects at
+        slip 0, and as load the weight on the slope. It is 0 for pitch, drawbar pull, torques and
+        acceleration.
         """
         pitch = 0.0 if r.pitch != r.pitch else r.pitch
         slip = r.slip
@@ -355,6 +357,7 @@ class OnlineIdentifier:
         reading.rim_speed = rim
         instead = {"sinkage": self._sinkage, "load": self._weight * math.cos(pitch)}
         white = self._setting["white"][0, 0]
+        # 0 says that the slip follows from both speeds (`points.slip_error`)
         white["slip"] = 0.0 if r.slip != r.slip else self._white["slip"]
         for name in _OTHERS:
             measured = getattr(r, name)

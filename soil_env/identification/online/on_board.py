@@ -51,7 +51,7 @@ OF_SOIL = 2 * QUANTITIES + 1  # entries of the observation on a soil: quantities
 MOST_ENTRIES = 256  # of an observation, more than any has: room for its bounds in `BOARD_SETTING`
 # [of the prior's] standard deviation below which nothing more counts as known, own choice
 LEAST_LEFT = 1e-6
-INFORMATION = 3  # index of the reward term of knowledge
+INFORMATION = 3  # index of the reward term of knowledge, "information" of `REWARD_TERMS`
 LN_10 = math.log(10.0)  # [-] ln K and ln S are divided by it: decimal logarithms are observed
 KILOPASCAL = 1e3  # [Pa] unit in which cohesion is observed
 
@@ -136,11 +136,12 @@ def board_setting(scenario: Scenario, shown: Shown, warns: bool) -> np.ndarray:
 
 def compactions() -> list[float]:
     """ln(S_N/S)/(n + 1/2) of the floor of a rut, for 0, 1, ... wheels ahead; the same for all n."""
+    # n = 1/2 makes n + 1/2 one
     return [math.log(rut_stiffness(1.0 + k, 0.5, COMPACTION)) for k in range(MOST_AXLES)]
 
 
 class OnBoard:
-    """Estimators of many wheels or rovers; they follow the orders that the world has followed.
+    """Estimators of many wheels or rovers, brought up to date after each step of the world.
 
     `count`: number of vehicles; `shown`: where the observation has the estimate; `warns`: keep the
     averages for the warning of immobilisation. Raises as `setting_of`.
@@ -174,7 +175,9 @@ class OnBoard:
         }
 
     def update(self, world: Stepped, orders: np.ndarray, first: int, end: int) -> None:
-        """Follow the `orders` [vehicles] int8 of the vehicles `first` to `end` - 1 in a `world`."""
+        """Follow the `orders` [vehicles] int8 (`parameters.readings.STEP` and others) that the
+        vehicles `first` to `end` - 1 of a `world` have followed; see `estimate`.
+        """
         thread = threading.get_ident()
         if thread not in self._work:
             self._work[thread] = np.zeros(1, WORK)
@@ -295,9 +298,9 @@ def show_estimate(vehicle, sample, board, out):
     """Fill what is identified into the observation `out` [D] of a vehicle, and cut all of `out` to
     its bounds.
 
-    From the entry `board.first` on these are `OF_SOIL` of each axle (`write_estimate`): of a
-    rover what all wheels know of the ground under that axle (`POOL`), of a wheel what it knows
-    itself. With a camera also the last entries, on the classes ahead (`_show_ahead`).
+    From the entry `board.first` on each axle has `OF_SOIL` entries (`write_estimate`). Of a rover
+    they are what all wheels know of the ground under that axle (`POOL`), of a wheel what it knows
+    itself. With a camera the last entries are filled too, on the classes ahead (`_show_ahead`).
 
     `vehicle`: its memory, `ON_WHEEL` or `ON_ROVER`; `sample`: the last `SAMPLE` of its front axle;
     `board`: `BOARD_SETTING`.

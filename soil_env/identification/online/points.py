@@ -138,8 +138,8 @@ def _weighs(reading, setting):
 def weigh(memory, reading, setting):
     """Renew the mass [kg] on the wheel by a reading of the load; before the first it is the body's.
 
-    It is the mean of all, and where the load varies one that forgets after `READINGS`. What was not
-    measured and what a lifted wheel shows does not count.
+    It is the mean over all readings, or where the load varies an average over about the last
+    `READINGS`. What was not measured and what a lifted wheel shows does not count.
     """
     if memory.mass == 0.0:
         memory.mass = setting.weight / setting.gravity
@@ -213,7 +213,8 @@ def _combined_torque(reading, turned, setting):
     motor), as of `_combine`.
 
     A change `turned` [m/s] of the rim speed in the period takes a torque of the motor. `SPIN_ERROR`
-    times that torque counts as white noise of the motor's, less what noise of the rim speed shows.
+    times that torque counts as white noise of the motor's. First the variance that white noise
+    gives the difference of two rim speeds is taken off the square of the change.
     """
     white = setting.white[0]
     zero = setting.zero[0]

@@ -98,13 +98,12 @@ def keep_knowledge(pool, memory, setting, work):
 
 @inlined
 def hand_over_border(front, memory, behind, setting, work):
-    """Begin the next border of a wheel that runs `behind` [m] behind the front one, once this wheel
-    is past its beginning. That is half a border's length before its middle, which is where the
-    front wheel has found it.
+    """Begin the next border of a wheel that runs `behind` [m] behind the front one, once it has
+    come within half a border's length of the middle that the front wheel has found.
 
-    `front`: `POOL` of the front wheel; `memory`: of this one. Nothing begins on a border, or if the
-    front wheel has not found the next one. A border whose soil it has forgotten for later ones is
-    passed over.
+    `front`: `POOL` of the front wheel; `memory`: `MEMORY` of the wheel behind. Nothing begins on a
+    border, or if the front wheel has not found the next one. A border is passed over if a later
+    soil has replaced its soil in the `POOL`.
     """
     number = memory.borders + 1
     while front.borders[number % SOILS] > number:
@@ -139,8 +138,10 @@ def _disagreement(memory, other, s, work):
 
 @compiled
 def _add_share(pool, u, covariance, mean, share, work):
-    """Add a share of a Gaussian of the shared unknowns, of this `covariance` [4, 4] and `mean` [4],
-    to the pooled information, and to its gradient at u; a negative share takes it away.
+    """Add a share of a Gaussian of the shared unknowns to the information of a `POOL`, and to the
+    gradient of its log-likelihood at u; a negative share takes it away.
+
+    The Gaussian has this `covariance` [4, 4] and `mean` [4].
     """
     invert_whole(covariance, SHARED, work, work.inverse)
     add_gaussian(work.inverse, mean, u, share, SHARED, pool.information, pool.gradient)

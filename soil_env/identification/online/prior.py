@@ -236,12 +236,11 @@ def setting_of(scenario: Scenario) -> np.ndarray:
 
 
 def limit_to_wheel(setting: np.ndarray, scenario: RoverScenario) -> None:
-    """Give no weight, in the `SETTING` of one wheel, to what sensors of the body do not measure of
-    it.
+    """Give no weight, in the `SETTING` of one wheel of a rover, to readings that do not tell of it.
 
-    The accelerometer says nothing of it, and the load on a wheel changes with the pull. Nor does
-    the torque of a motor whose speed loop turns the wheel faster or slower: that at the end of a
-    period is not the mean over it.
+    The accelerometer measures the body. The torque of a motor whose speed loop turns the wheel
+    faster or slower is read at the end of a period, and is not the mean over it. The load on one
+    wheel changes with the pull, so `load_varies` becomes 1.
     """
     setting["sensors"]["acceleration"] = OF_BODY * scenario.gravity
     if scenario.control.action != "torque":

@@ -56,7 +56,8 @@ BORDER_ERROR = 2e-3
 LAW_ERROR = 0.06
 BORDER_LAW_ERROR = 0.3  # [of z_b (1 - exp(-A))] that of a cell on a border, own choice
 # [standard deviations] of a residual of the law of sinkage beyond which its variance grows with its
-# square, own choice. Cut there, at full weight, it makes the fit sure of a wrong S.
+# square, own choice. A residual that is cut there and keeps its weight makes the fit sure of a
+# wrong S.
 LINEAR_TO = 3.0
 
 
@@ -111,10 +112,11 @@ def _blend(cell, memory, setting, work):
 
 @compiled
 def _over_border(row, share, by_place, memory, work):
-    """Split the slopes of a residual by the soil, in `work.slopes`, into those by new soil, by old
-    soil and by the place of the border; return the last.
+    """Split the slopes of a residual by the blended soil, in `work.slopes`, into those by new soil,
+    by old soil and by the place of the border; return the last.
 
-    `row`: of the residual; `share`: of the new soil; `by_place` [1/m]: its slope by the place.
+    `row`: that of the residual in `work.slopes`; `share`: of the new soil in the blend; `by_place`
+    [1/m]: slope of the share by the place.
     """
     u = memory.u
     slopes = work.slopes
@@ -190,6 +192,8 @@ def residuals(cell, memory, setting, work):
     for j in range(OF_GROUND):
         J[PULL, j] = to_pull * by[PULL, j]
         J[TORQUE, j] = to_torque * by[TORQUE, j]
+    # At a given sinkage pull and torque double where load and cohesion do. So their slope by ln of
+    # the load is the value less cohesion times its slope by cohesion. A gain lowers the load.
     J[PULL, LOAD_GAIN] = (cell.inertial - 1.0) * pull + soil[COHESION] * J[PULL, COHESION]
     J[TORQUE, LOAD_GAIN] = soil[COHESION] * J[TORQUE, COHESION] - (1.0 + u[TORQUE_GAIN]) * torque
     J[PULL, PULL_ZERO] = 1.0
