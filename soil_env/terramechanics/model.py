@@ -189,7 +189,7 @@ class WheelSoilModel(Checked):
         if self.soil is None:
             raise ParameterError("WheelSoilModel: no soil: expected one, to predict with")
         conditions = _mapping(conditions)
-        c = rows_of(conditions, self.wheel)
+        asked = rows_of(conditions, self.wheel)
         needed = self.needed
         for name in sorted({"speed", "pass"} & needed.keys()):
             given = conditions.get(name, math.nan)
@@ -197,32 +197,32 @@ class WheelSoilModel(Checked):
                 raise ParameterError(
                     f"conditions: missing {name}: expected it, since {needed[name]} goes with it"
                 )
-        if np.any(c.conditions[:, 2]) and not {"grade", "grade_deg"} & needed.keys():
+        if np.any(asked.conditions[:, 2]) and not {"grade", "grade_deg"} & needed.keys():
             warnings.warn(
                 "grade_deg: no effect of this model depends on it: expected loads normal to the "
                 "ground",
                 stacklevel=2,
             )
-        beyond = outside(self.validity, c)
+        beyond = outside(self.validity, asked)
         if beyond:
             warnings.warn(
                 f"predicting outside what the model was fitted to: {beyond}",
                 OutsideValidity,
                 stacklevel=2,
             )
-        out = np.empty((c.slip.size, 3))
+        out = np.empty((asked.slip.size, 3))
         sd = np.full_like(out, math.nan)
         law = self.law
         fx = self.numbers
         supported = 0  # rows
         # What the `SoilState` depends on, by row: the width, by S = k_c/b + k_phi. Where strength
         # depends on the pressure, radius and load too.
-        bearing = c.wheels[:, 1:2]
+        decisive = asked.wheels[:, 1:2]
         if self.soil.reference_stress > 0.0:
-            bearing = np.column_stack([c.wheels[:, :2], c.load])
-        for one in np.unique(bearing, axis=0):
-            here = np.all(bearing == one, axis=1)  # rows of one `SoilState`
-            rows = Rows(*(column[here] for column in c))
+            decisive = np.column_stack([asked.wheels[:, :2], asked.load])
+        for one in np.unique(decisive, axis=0):
+            here = np.all(decisive == one, axis=1)  # rows of one `SoilState`
+            rows = Rows(*(column[here] for column in asked))
             values = np.empty((np.count_nonzero(here), 3))
             radius, width = rows.wheels[0, :2].tolist()
             soil = self.soil.under(radius, width, float(rows.load[0]), self.gravity)
@@ -239,7 +239,7 @@ class WheelSoilModel(Checked):
                 if self.remainder is not None:
                     sd[here] = np.where(_within(self.remainder, groups), deviations, math.nan)
             out[here] = values
-        return Prediction(out[:, 0], out[:, 1], out[:, 2], supported == c.slip.size, sd)
+        return Prediction(out[:, 0], out[:, 1], out[:, 2], supported == asked.slip.size, sd)
 
     def content(self) -> dict[str, Any]:
         """The mapping of model.yaml, of texts, numbers, lists and mappings.

@@ -155,9 +155,9 @@ def shares_of(period: float) -> list[float]:
 def _channels(reading, numbers, warning):
     """`Channels` of one set of readings; `numbers`: `SETTING`, `warning`: `WARNING_SETTING`.
 
-    A load below `LIFTED` of the weight counts as that. The motor has the torque stall torque x (1 -
-    speed over no-load speed), at least `_LEAST_TORQUE`. The motor torque over it is cut to -1 and
-    `_MOST_TORQUE`.
+    A load below `LIFTED` of the weight counts as that. The torque that the motor has is stall
+    torque x (1 - wheel speed over no-load speed), at least `_LEAST_TORQUE` of the stall torque. The
+    share of it that the motor gives is cut to -1 and `_MOST_TORQUE`.
     """
     load = max(reading.load, LIFTED * numbers.weight)
     rim = reading.rim_speed / numbers.radius

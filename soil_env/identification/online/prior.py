@@ -82,14 +82,14 @@ def plain(scenario: Scenario) -> Gaussian:
     least = np.full(SIZE, KNOWN)
     least[COHESION] *= scenario.weight / (w.radius * w.width)
     sd = np.maximum(sd, least)
-    r = np.eye(SIZE)
+    correlations = np.eye(SIZE)
     for i, j, correlation in (
         (TANGENT, COHESION, b.friction_cohesion),
         (TANGENT, PRESSURE, b.friction_stiffness),
         (LN_K, PRESSURE, b.stiffness_shear_modulus),
     ):
-        r[[i, j], [j, i]] = correlation
-    return 1.0, mean, r * np.outer(sd, sd)
+        correlations[[i, j], [j, i]] = correlation
+    return 1.0, mean, correlations * np.outer(sd, sd)
 
 
 def of_library(scenario: Scenario) -> list[Gaussian]:
@@ -105,8 +105,8 @@ def of_library(scenario: Scenario) -> list[Gaussian]:
     found = []
     # standard deviations of ln K, ln of the pressure and ln of the gain
     logs = np.sqrt(np.log1p(np.square([spread.shear_modulus, spread.stiffness, spread.dig_gain])))
-    r = np.eye(SIZE)
-    r[np.ix_(_OF_SPREAD, _OF_SPREAD)] = spread.factor() @ spread.factor().T
+    correlations = np.eye(SIZE)
+    correlations[np.ix_(_OF_SPREAD, _OF_SPREAD)] = spread.factor() @ spread.factor().T
     least = LEAST_SCATTER * np.sqrt(np.diag(plain(scenario)[2]))
     deeper = np.eye(SIZE)  # from the pressure at the reference of the scatter to that at `depth_of`
     deeper[PRESSURE, EXPONENT] = math.log(depth_of(scenario) / spread.reference_sinkage)
@@ -124,7 +124,7 @@ def of_library(scenario: Scenario) -> list[Gaussian]:
         sd = np.maximum(
             [friction, soil.cohesion * spread.cohesion, n * spread.exponent, *logs], least
         )
-        found.append((weight, deeper @ mean, deeper @ (r * np.outer(sd, sd)) @ deeper.T))
+        found.append((weight, deeper @ mean, deeper @ (correlations * np.outer(sd, sd)) @ deeper.T))
     return found
 
 

@@ -40,8 +40,8 @@ def fitted(
         """
         p = effect.parameter(match[1])
         text = plain(values[p.name], digits) + (f" {p.unit}" if units and p.unit else "")
-        behind = form.equation[: match.start()].rstrip()
-        is_apart = text.startswith("-") or " " in text or behind[-1:].isdigit()
+        before = form.equation[: match.start()].rstrip()
+        is_apart = text.startswith("-") or " " in text or before[-1:].isdigit()
         return f"({text})" if is_apart else text
 
     text = _PARAMETER.sub(number, form.equation)
