@@ -127,8 +127,8 @@ def blend_estimates(into, memory, setting):
     """Publish, in `estimate` and `sd` of the record `into`, the blend of its old and its fresh
     estimate on a border.
 
-    `memory`: `MEMORY` of the wheel, by its place and that of the border; the variance of the latter
-    adds to those of both estimates.
+    `memory`: `MEMORY` of the wheel, whose place past the middle of the border gives the shares. The
+    variance of the border's place adds to the variances of both estimates.
     """
     share, slope = share_at(memory.place - memory.border, setting.border)
     rest = 1.0 - share

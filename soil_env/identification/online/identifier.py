@@ -164,7 +164,8 @@ def widening(memory, setting):
     """Factor of the standard deviations: `WIDER` for what the linearised fit leaves out, times the
     root of the form error over the believed one.
 
-    Errors of laws do not average out as noise does.
+    Errors of laws do not average out as noise does. The field `memory.widening` is another factor,
+    after an outlier.
     """
     return WIDER * math.sqrt(memory.form_error / setting.model_error)
 

@@ -164,8 +164,8 @@ class Sensor(NamedTuple):
 
 @compiled
 def _combine(one, other, unit):
-    """(mean of two sensors `one` and `other`, variance of its white noise, share of the other in
-    it); the mean in a `unit`, the variance in its square.
+    """(mean of two sensors `one` and `other`, variance of its white noise, share of `other` in it);
+    the mean in a `unit` [SI], the variance in its square.
 
     Sensors count by their precision: 1 over the sum of the variances of all three errors.
     """
@@ -182,7 +182,8 @@ def combined_pull(memory, reading, setting):
     """Pull by force sensor and accelerometer: (mean [of weight], its variance, share of the
     accelerometer), as of `_combine`.
 
-    The accelerometer reads acceleration and g sin(grade): times the mass on the wheel, the pull.
+    The accelerometer reads the sum of acceleration and g sin(grade); the pull is that sum times the
+    mass on the wheel.
     """
     white = setting.white[0]
     zero = setting.zero[0]

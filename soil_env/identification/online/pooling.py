@@ -79,7 +79,7 @@ def _publish_fresh(pool):
 @inlined
 def keep_knowledge(pool, memory, setting, work):
     """Keep what a renewed identifier (`memory`) knows of its soil for the other wheels, in the
-    `POOL` of its wheel. It is mean and covariance of the shared unknowns, under the prior of one
+    `POOL` of its wheel: mean and covariance of the shared unknowns, under the prior of one
     Gaussian.
 
     The soil after the border with number n, counted by `memory.borders`, has the place n modulo

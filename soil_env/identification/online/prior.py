@@ -137,8 +137,8 @@ def moments(gaussians: list[Gaussian]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def widths(gaussians: list[Gaussian]) -> np.ndarray:
-    """Half widths [SIZE] of the intervals that hold 68 % of a mixture, in its standard deviations;
-    1 for a Gaussian.
+    """Half widths [SIZE] of the intervals about its mean that hold 68 % of a mixture, in its
+    standard deviations; 1 for a Gaussian.
     """
     weights, means, covariances = (np.array(part) for part in zip(*gaussians, strict=True))
     mean, covariance = moments(gaussians)

@@ -22,8 +22,10 @@ def true_slip(measured, fx):
 
 @compiled
 def measured_slip(slip, fx):
-    """Inverse of `true_slip`, not cut: what a sensor shows at a true `slip`. `fx`: `Effects`,
-    `SensorErrors`, or None, which leaves the slip as it is.
+    """Inverse of `true_slip`, not cut: what a sensor shows at a true `slip`.
+
+    `fx`: `Effects`, `SensorErrors` of `simulation.world.sensors`, or None, which leaves the slip as
+    it is.
     """
     if fx is None:
         return slip
