@@ -87,8 +87,8 @@ class Kept:
     """A function that Python calls, compiled for the types that it gets and kept on disk.
 
     The first call in a process checks the files of the function, and compiles, or loads, under a
-    lock. Later calls run the compiled code, and note a version for other types that they made.
-    `py_func` is the function as Python runs it.
+    lock. Later calls run the compiled code. A call that compiles a version for other types writes
+    the checksums of the new files. `py_func` is the function as Python runs it.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:

@@ -296,9 +296,9 @@ def _integrals(nodes, arc, balance, fx):
 def _misfit(nodes, x, balance, wheel, fx):
     """(misfit of a `_Balance` at the sinkage e^x [m], `Forces` there).
 
-    The misfit is ln(s/available), where s is the sinkage coefficient that the load mobilises and
-    `available` the one that the dug soil offers. Where it is positive the wheel sinks deeper.
-    Forces are those of the available coefficient, on a tyre of at most s.
+    The misfit is ln s - `available`: s is the sinkage coefficient that the load mobilises,
+    `available` the ln of the one that the dug soil offers. Where the misfit is positive the wheel
+    sinks deeper. Forces are those of the coefficient on offer, on a tyre of at most s.
 
     It is cut to [`LEAST_MISFIT`, `MOST_MISFIT`], and `UNCARRIED` where no coefficient carries the
     load (`bounded_bearing`). The tread bounds the strength of the soil (`gripping_share`).

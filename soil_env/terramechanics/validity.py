@@ -14,7 +14,8 @@ from soil_env._io.loading import ParameterError, unknown_key
 CONDITIONS = {"slip": "", "load": "N", "speed": "m/s", "pass": "", "grade_deg": "deg"}
 
 
-NEAR = 0.01  # [of the range, or of a load] by which conditions may lie outside; own choice
+# [of the range; in `envs.worlds` of a load] by which conditions may lie outside; own choice
+NEAR = 0.01
 ROUNDING = 1e-6  # [of a bound] that is let pass at least, as the error of a written number
 
 

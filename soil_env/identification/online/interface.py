@@ -82,8 +82,8 @@ class Estimate:
     best_pull: float  # [of load] highest steady drawbar pull of this soil
     best_pull_sd: float  # [of load] by the whole covariance: smaller than the soil's would suggest
     status: Status
-    renewed: bool  # whether this call changed it
-    borders: int  # to another soil that have been found
+    renewed: bool  # the `update` that returned it changed it
+    borders: int  # number of borders to another soil that have been found
     instruments: Instruments
     refused: int  # readings that no wheel gives, left out
 

@@ -157,9 +157,10 @@ class OnBoard:
     def views(self) -> dict[str, Any]:
         """What others read, by name.
 
-        `on_board`: all memory. Of wheels also `ids`: published estimates, `changed`: by the last
-        step, `recent`: averages for warnings, `memory`: classes. Of rovers also estimates
-        [rovers, axles], `ids`: by a wheel's own readings, `known`: by those of all.
+        `on_board`: the whole memory. Of wheels also `ids`: published estimates; `changed`: 1 where
+        the last step changed one; `recent`: averages for warnings, empty unless they are kept;
+        `memory`: classes of terrain. Of rovers also two sets of estimates [rovers, axles], `ids` by
+        the readings of each wheel and `known` by those of all wheels.
         """
         own = self.setting[0]
         memory = self.memory
