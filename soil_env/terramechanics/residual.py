@@ -242,11 +242,12 @@ def residual_under(law, at, soil, wheel):
 def interpolated(law, groups, first):
     """Three columns of the table of a `RESIDUAL` at `groups`, for sinkage, pull and torque.
 
-    `first` is the first of them, 0 for values and 3 for standard deviations.
+    They begin with the column `first`: 0 for values, 3 for standard deviations. Each is linear in
+    every group between the nodes about `groups`, and constant beyond the first and the last node.
+    Three zeros without a table.
 
-    They are linear in each group between the nodes about `groups`, and constant beyond the first
-    and the last node. Three zeros without a table. Bit a of a `corner` of the cell about `groups`
-    says whether the corner has the upper node of axis a.
+    The nodes about `groups` are the corners of a cell of the table. Bit a of the number of a corner
+    is 1 if it has the upper node of axis a.
     """
     sinkage = 0.0
     pull = 0.0

@@ -27,7 +27,8 @@ from .memory import (
 from .residuals import LEAST_TANGENT, WEIGHT, residuals, weigh_unknowns
 
 # Steps of Gauss-Newton for a point, at most, own choice; with one the errors of ln K grow by a
-# tenth. What two leave at the first point widens the form error, which holds where the laws err.
+# tenth. What two leave of chi-squared at the first point makes the form error grow (`renew`), as
+# errors of the laws do.
 STEPS = 2
 # [variances] squared length of a step, below which it is the last, own choice
 SETTLED = 0.3

@@ -293,8 +293,9 @@ def observe(memories, k, reading, alone, setting, work):
     """Take one set of readings into `memories` [k]; its outcome `HELD`, `MOVED` or `RENEWED`.
 
     `alone`: forces may show a border; False of a wheel that another one tells of borders. Readings
-    that no wheel gives are counted and left out. Where the estimate is no number, the memory is
-    set to the prior.
+    that no wheel gives are counted and left out. On a border the blend of old and new soil is
+    published, from its end on the new soil. Where the estimate is not finite, the memory is set to
+    the prior.
     """
     memory = memories[k]
     if setting.off > 0:

@@ -235,9 +235,10 @@ def write_known(out, first, flag, known, tangent, dig_gain):
     over the `tangent` of a grade) and its standard deviations.
 
     The first three quantities with their standard deviations fill six entries from `first` on, the
-    other three the last six. The `flag` stands after the first six where `first` is 0, and before
-    them where it is 1. K and S are decimal logarithms with relative standard deviations, cohesion
-    is in kPa. `known`: a record with `ESTIMATES`, whose gain is relative to the nominal `dig_gain`.
+    other three the last six. The `flag` stands after the first six where `first` is 0, as for the
+    ground under an axle, and before them where it is 1, as for a route ahead. K and S are decimal
+    logarithms with relative standard deviations, cohesion is in kPa. `known`: a record with
+    `ESTIMATES`, whose gain is relative to the nominal `dig_gain`.
     """
     mean = known.estimate
     sd = known.sd
