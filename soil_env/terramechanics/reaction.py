@@ -167,10 +167,11 @@ def lay_footing(nodes, arc, soil, load):
 @compiled
 def carried_along(footing, speed, rim_speed):
     """(share of the travel speed at which soil is carried along the rim, its derivative by the
-    travel speed V, that by the rim speed u [s/m]); three zeros on soil that does not flow.
+    travel speed V, that by the rim speed u [s/m]).
 
-    The share is `carry` of the `Footing` times `carried_share`, held below `most_carried` of the
-    `Footing`. `speed` is V and `rim_speed` u, in m/s.
+    Three zeros on soil that does not flow. The share is `carry` of the `Footing` times
+    `carried_share`, held below `most_carried` of the `Footing`. `speed` is V and `rim_speed` u,
+    in m/s.
     """
     if footing.carry == 0.0:
         return 0.0, 0.0, 0.0

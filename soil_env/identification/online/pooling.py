@@ -79,8 +79,9 @@ def _publish_fresh(pool):
 @inlined
 def keep_knowledge(pool, memory, setting, work):
     """Keep what a renewed identifier (`memory`) knows of its soil for the other wheels, in the
-    `POOL` of its wheel: mean and covariance of the shared unknowns, under the prior of one
-    Gaussian.
+    `POOL` of its wheel.
+
+    Kept are mean and covariance of the shared unknowns, under the prior of one Gaussian.
 
     The soil after the border with number n, counted by `memory.borders`, has the place n modulo
     `SOILS`, and replaces an earlier one there.
@@ -98,8 +99,10 @@ def keep_knowledge(pool, memory, setting, work):
 
 @inlined
 def hand_over_border(front, memory, behind, setting, work):
-    """Begin the next border of a wheel that runs `behind` [m] behind the front one, once it has
-    come within half a border's length of the middle that the front wheel has found.
+    """Begin the next border of a wheel that runs `behind` [m] behind the front one, where the front
+    wheel has found it.
+
+    It begins once the wheel has come within half a border's length of its middle.
 
     `front`: `POOL` of the front wheel; `memory`: `MEMORY` of the wheel behind. Nothing begins on a
     border, or if the front wheel has not found the next one. A border is passed over if a later
@@ -139,9 +142,9 @@ def _disagreement(memory, other, s, work):
 @compiled
 def _add_share(pool, u, covariance, mean, share, work):
     """Add a share of a Gaussian of the shared unknowns to the information of a `POOL`, and to the
-    gradient of its log-likelihood at u; a negative share takes it away.
+    gradient of its log-likelihood at u.
 
-    The Gaussian has this `covariance` [4, 4] and `mean` [4].
+    The Gaussian has this `covariance` [4, 4] and `mean` [4]. A negative share takes it away.
     """
     invert_whole(covariance, SHARED, work, work.inverse)
     add_gaussian(work.inverse, mean, u, share, SHARED, pool.information, pool.gradient)
