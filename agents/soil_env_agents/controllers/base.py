@@ -14,16 +14,22 @@ from soil_env.terramechanics.motor import LOOP_GAIN
 
 from ..inputs import Layout, Observing
 
-_CHOICE = 0.01  # smallest action that chooses a route; the drive is held meanwhile
+# Size of the smallest action that chooses a route: above 0 the one ahead, below 0 the one beside.
+# The wheel stands at a halt meanwhile.
+_CHOICE = 0.01
 
 
 class Setting(NamedTuple):
-    """A setting of a controller. A rim speed is bounded by the top rim speed."""
+    """A setting of a controller: default, unit, and the values that it may have.
+
+    A value is above 0 (with `zero` at least 0) and at most `high`; a rim speed is at most the top
+    rim speed of the wheel. `within_bounds` checks it.
+    """
 
     default: float  # in its unit; of a rim speed: share of the top rim speed
     unit: str
     meaning: str
-    tuned: tuple[float, float]  # range that `soil-env tune` draws from, as the default
+    tuned: tuple[float, float]  # range that `soil-env tune` draws from, in the unit of `default`
     log: bool = False  # drawn evenly in the logarithm
     high: float = math.inf
     zero: bool = False  # 0 is allowed
@@ -77,7 +83,8 @@ class Controller(Observing):
         self.change = scenario.control.rim_acceleration * self.period / self.top_speed
         # [N m s] proportional gain: a free wheel is on speed after one period.
         self.gain = wheel.inertia / self.period
-        self.integral_gain = 0.68 * self.weight_torque  # [N m] per rad
+        # [N m] per rad of lag of the rim; the factor is chosen.
+        self.integral_gain = 0.68 * self.weight_torque
         #: Values of the settings.
         self.settings = {
             name: settings.get(
@@ -120,8 +127,8 @@ class Controller(Observing):
     def chosen(self, batch: np.ndarray, action: np.ndarray, other: np.ndarray) -> np.ndarray:
         """The `action` [n, 1], but at the halts before a fork one whose sign chooses the route.
 
-        That is -`_CHOICE` where the `other` one, beside, is better ([n] bool), else the action, but
-        at least `_CHOICE`.
+        At such a halt it is -`_CHOICE`, the route beside, where `other` [n] is True. Elsewhere at
+        such halts it is `action` or `_CHOICE`, whichever is larger: the route ahead.
         """
         if "choice" not in self.column:
             return action
@@ -129,8 +136,10 @@ class Controller(Observing):
         return np.where(batch[:, self.column["choice"]] > 0.5, sign, action[:, 0])[:, None]
 
     def command(self, batch: np.ndarray, rim_speed: np.ndarray, state: dict) -> np.ndarray:
-        """Actions [n, 1] float32 that follow a `rim_speed` [n] m/s, for observations [n, D];
-        advances `state`.
+        """Actions [n, 1] float32 in [-1, 1] that follow a `rim_speed` [n] in m/s, for observations
+        [n, D].
+
+        Where the action is a torque it is that of the PI loop, whose integral in `state` advances.
         """
         if self.action == "torque":
             action = self._torque(batch, rim_speed, state) / self.stall
@@ -141,11 +150,13 @@ class Controller(Observing):
         return np.clip(action, -1.0, 1.0).astype(np.float32)[:, None]
 
     def state_for(self, batch: np.ndarray, state: dict | None, fresh: np.ndarray) -> dict:
-        """Copy of `state` for a call with observations [n, D], and `fresh` in it. Rows that are
-        `fresh` [n] begin a course, all if `state` is None. They have 0 in each `memory`, and the
-        integral at the torque that is fed forward.
+        """State for a call with observations [n, D]: a copy of `state` with the mask `fresh` [n]
+        as one more entry.
 
-        ParameterError for a `state` of another number of rows, or that is none of a controller.
+        Rows that are `fresh` begin a course; all do if `state` is None. Their `memory` is 0, but
+        the integral is the torque that is fed forward [N m].
+
+        ParameterError for a `state` of another number of rows, or without the entries of `memory`.
         """
         if state is not None and not (
             isinstance(state, dict)
@@ -173,11 +184,15 @@ class Controller(Observing):
         return batch[:, self.column["halted"]] > 0.5
 
     def droop(self, batch):
-        """Share of the top rim speed [n] by which the rim lags behind the drive's own loop."""
+        """Lag of the rim behind the speed that the drive's own loop follows, under the measured
+        torque, as a share of the top rim speed [n].
+        """
         return batch[:, self.column["torque"]] * self.weight_torque / (LOOP_GAIN * self.stall)
 
     def _feed_forward(self, batch):
-        """Torque [N m] that grade and motion resistance take, [n]: 0 to weight x radius."""
+        """Torque [N m] that grade and motion resistance take, [n], cut to between 0 and weight x
+        radius.
+        """
         demand = np.sin(batch[:, self.column["pitch"]]) + self.rolling
         return np.clip(demand, 0.0, 1.0) * self.weight_torque
 
@@ -185,8 +200,8 @@ class Controller(Observing):
         """Torque [N m] of the PI loop that follows the rim speed `target` [m/s], [n]; advances the
         integral [N m] in `state`, within the stall torque.
 
-        It stays where the torque is beyond the stall torque already and would go further. At a halt
-        it is the torque that is fed forward.
+        The integral stays where the torque is beyond the stall torque already and would go further.
+        At a halt the integral is the torque that is fed forward.
         """
         error = (target - batch[:, self.column["rim_speed"]] * self.top_speed) / self.radius
         torque = self.gain * error + state["integral"]
@@ -200,10 +215,11 @@ class Controller(Observing):
 
 
 class Ramped(Controller):
-    """Base: the rim speed rises by at most an acceleration, from rest and after every halt, and a
-    wheel as deep as `creep_sinkage` creeps; by default none up to a sinkage of one radius.
+    """Base: the rim speed rises by at most an acceleration, from rest and after every halt, and
+    falls to a creeping speed as the sinkage nears `creep_sinkage`.
 
-    A deep wheel that is braked for a halt digs further, the more the faster it was.
+    It falls because a deep wheel that is braked for a halt digs further, the more the faster it
+    was. With the default `creep_sinkage` it does not fall up to a sinkage of one radius.
     """
 
     bounds = {"acceleration": ACCELERATION, "speed": SPEED, "creep_sinkage": CREEP_SINKAGE}
@@ -213,8 +229,8 @@ class Ramped(Controller):
         """Highest rim speed now [m/s], [n], for an acceleration [m/s2] up to a speed [m/s], 0 at a
         halt; kept in `state`.
 
-        The top falls evenly with the sinkage, from `speed` at half of `creep_sinkage` to the
-        creeping speed.
+        `speed` holds up to half of `creep_sinkage`. From there the top falls evenly with the
+        sinkage, to the creeping speed at `creep_sinkage`.
         """
         deep = batch[:, self.column["sinkage"]] / self.settings["creep_sinkage"]
         share = np.clip(2.0 - 2.0 * deep, 0.0, 1.0)

@@ -14,7 +14,8 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env.envs.wheels import Simulation
 
-#: Arrays of `Worlds` with all that is kept of a wheel; samples are written anew by every step.
+#: Arrays of `Worlds` with all that a wheel keeps from one step to the next; the other arrays are
+#: views of these or written anew by every step.
 KEPT = ("state", "courses", "observation", "on_board")
 
 

@@ -46,15 +46,17 @@ DRAWN = 14  # plans drawn anew
 COUNT = 1 + VARIED + len(FIXED) + DRAWN  # plans of a wheel, with that which it follows
 # Of the score; chosen.
 PATIENCE = 0.3  # of the time limit of no progress, up to which waiting costs nothing
-WAITING = 0.5  # [m] penalty by the share of that limit beyond
-FAILED = 100.0  # [m] penalty
+WAITING = 0.5  # [m] penalty of waiting one such limit longer, in proportion
+FAILED = 100.0  # [m] penalty of an end by one of the causes `_FAILED`
 _FAILED = (Cause.ENTRAPPED.value, Cause.STALLED.value, Cause.BOGGED.value, Cause.TIME_LIMIT.value)
 _RUNNING = Cause.RUNNING.value
 _FINISHED = Cause.FINISHED.value
 
 
 class Plans(NamedTuple):
-    """Plans of wheels; arrays of one shape."""
+    """Plans of wheels, arrays of one shape: go back, then a first ramp of the rim speed, then a
+    second one.
+    """
 
     back: np.ndarray  # [s] left of going back
     left: np.ndarray  # [s] left of the first ramp
@@ -103,8 +105,10 @@ class _Driver(Ramped):
 
 
 class Oracle:
-    """The planner with `predict`; `attach` gives it the simulation in which it plans, and `horizon`
-    [s] is how far.
+    """The planner, with the `predict` of a controller.
+
+    `attach` gives it the simulation in which it plans; `horizon` [s] is how far ahead a plan is
+    driven.
     """
 
     name = "oracle"
@@ -122,10 +126,11 @@ class Oracle:
     def attach(
         self, simulation: Simulation, threads: int | None, model: WheelSoilModel | None
     ) -> None:
-        """Take the simulation that the oracle will drive, whose observations come next; make its
-        clones, `COUNT` for each wheel, with the `threads` and the `model` that it was made with.
+        """Take the simulation that the oracle will drive, and make room for `COUNT` clones of each
+        wheel, with the `threads` and the `model` that the simulation was made with.
 
-        Random numbers and plans begin anew, so that a block of courses is driven alike whenever.
+        Random numbers and plans begin anew, so that a block of courses is driven alike whatever was
+        driven before it.
         """
         self.simulation = simulation
         wheels = simulation.worlds.cause.size
@@ -214,13 +219,15 @@ class Oracle:
         first, second = (np.exp(rng.uniform(low, high, shape)) for _ in range(2))
         speed, later_speed = (rng.uniform(*SPEEDS, shape) * top for _ in range(2))
         back = np.where(rng.random(shape) < BACKING_SHARE, rng.uniform(*BACKING, shape), 0.0)
+        # So that the second ramp has 40 % of the horizon at least, but for the time of going back.
         left = rng.uniform(0.0, 0.6 * self.steps * self.driver.period, shape)
         other_route = rng.random(shape) < 0.5
         drawn = Plans(back, left, first, speed, second, later_speed, other_route)
         speeds = np.multiply(SPEEDS, top)
         same = Plans(*(x[:, None] for x in now))
         # Standard normal, of each number of a plan; the first, of `back`, is not used. Times vary
-        # by 1 s, accelerations by a factor of about exp(0.4), speeds by one of exp(0.3).
+        # by 1 s, accelerations by a factor of about exp(0.4), speeds by one of exp(0.3). Three of
+        # ten variations take the other route.
         noise = rng.standard_normal((6, d, VARIED))
         varied = Plans(
             back=np.repeat(same.back, VARIED, axis=1),
@@ -239,8 +246,10 @@ class Oracle:
         )
 
     def _tried(self, batch, state) -> np.ndarray:
-        """Score [n], as of `_value`, of the first n clones, driven by the plans of `dreamer` to the
-        horizon. They begin with the observations `batch` [n, D] and the `state` of their driver.
+        """Score [n] (`_value`) of the first n clones, driven by the plans of `dreamer` to the
+        horizon or to the end of the course.
+
+        The clones begin with the observations `batch` [n, D] and the `state` of their driver.
         """
         w = self.clones.worlds
         n = len(batch)
@@ -264,8 +273,8 @@ class Oracle:
     def _value(self, n: int, done: np.ndarray) -> np.ndarray:
         """Score [n] in m: furthest place, less penalties for failure, waiting and sinkage.
 
-        A finish has no penalties. It scores the course's length and the way at the top rim speed in
-        the time from the step of the end, `done` [n] counted from 0, to the horizon.
+        A finish has no penalties. It scores the length of the course, and the way at the top rim
+        speed in the time that is left to the horizon. `done` [n]: step of the end, counted from 0.
         """
         w = self.clones.worlds
         s = w.state

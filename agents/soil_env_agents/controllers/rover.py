@@ -5,14 +5,15 @@ whole rover.
 |------|-------------------------|-------------|
 | equal_speed | one constant rim speed, as most rovers drive | blind |
 | soft_start | one rim speed that rises from rest | blind |
-| velocity_sync | that ramp, times the speed of each axle in turns (Toupet et al. 2020) | blind |
+| velocity_sync | that ramp, lower for the slower axles of a rover that pitches | blind |
 | slip_limiter | that ramp, but not above a slip of each wheel | blind |
 | torque_by_load | the torque that the rover's speed needs, shared by load | blind |
 | best_slip_identified | that ramp, not above the best slip on the soil as identified | identified |
 | best_slip_true | the same on the true soil: a reference, not a bound | true_soil |
 
-All but `velocity_sync` and `torque_by_load` are the controllers of a wheel (`controllers`),
-one for each wheel. The ramps of all wheels creep with the deepest one (`creep_sinkage`).
+`VelocitySync` and `TorqueByLoad` name their sources. All others are the controllers of a wheel
+(`controllers`), one for each wheel. The ramps of all wheels creep with the deepest one
+(`creep_sinkage`).
 """
 
 from collections.abc import Callable, Mapping
@@ -29,17 +30,18 @@ from soil_env.simulation.task import layout
 from ..controllers import CONTROLLERS, make_controller
 from ..inputs import Layout, Observing
 
-_SLOWEST = 0.02  # [of top rim speed] of the body, where its turning is looked at
+_SLOWEST = 0.02  # [of top rim speed] least speed of the body beside its pitching; own choice
 _RATE_SHARE = 0.3  # of the newest reading in the mean of the pitch rate
 _TIME = 0.5  # [s] in which torque_by_load makes up for a lack of speed
 _LEAST_LOAD = 0.01  # [of its weight] load of a wheel that is lifted; own choice
 
 
 class RoverController(Observing):
-    """The controller `of_wheel` for each wheel.
+    """Base, and the rover controllers that are a wheel's controller for each wheel.
 
-    `own` is that controller; `settings` are its. `drives`: values of the scenario's `control`, by
-    their keys, that it needs in place of the scenario's.
+    `own` is the controller of a wheel named `of_wheel`, made with the `settings`; it drives all
+    wheels of a rover as a batch. `drives`: keys of the scenario's `control` with the values that
+    this controller needs in place of the scenario's.
     """
 
     scenario: RoverScenario
@@ -55,7 +57,8 @@ class RoverController(Observing):
         entries = rover_layout(self.variant, self.axles)
         self.column = {e.name: i for i, e in enumerate(entries)}
         self.layout = Layout(entries, self.variant)
-        # [axles, entries of a wheel]: their columns; an entry of the rover is that of each wheel.
+        # [axles, entries of a wheel]: columns of a wheel's entries in the rover's observation. An
+        # entry that the rover has once, as the pitch, stands for that of each wheel.
         self._columns = np.array(
             [
                 [
@@ -76,10 +79,10 @@ class RoverController(Observing):
         return self.command(batch, wheels, state).reshape(len(batch), self.axles), state
 
     def command(self, batch: np.ndarray, wheels: np.ndarray, state: dict) -> np.ndarray:
-        """Actions of all wheels, n x axles numbers with those of a rover side by side.
+        """Actions of all wheels in [-1, 1], n x axles numbers with those of a rover side by side.
 
-        They are for observations of rovers (`batch` [n, D]) and of their wheels (`wheels`
-        [n x axles, entries]); advances `state`.
+        `batch` [n, D] are the observations of the rovers, `wheels` [n x axles, entries] those of
+        their wheels. Advances `state`.
         """
         return self.own.command(wheels, self.rim_speeds(batch, wheels, state), state)
 
@@ -143,7 +146,8 @@ class TorqueByLoad(RoverController):
         kept = np.where(state["begun"] | halted, 0.0, state.get("lack", 0.0 * speed))
         lack = np.clip(kept + (target - speed) * own.period, -1.0, 1.0)
         state["lack"] = lack
-        # [N m] of a side
+        # [N m] of a side: what grade and resistance take, and the acceleration that makes up for
+        # the missing speed and way within `_TIME`.
         total = mass_arm * (self.scenario.gravity * slope + (target - speed + lack / _TIME) / _TIME)
         total = np.clip(total, -axles * own.stall, axles * own.stall)
         load = np.maximum(wheels[:, own.column["load"]].reshape(-1, axles), _LEAST_LOAD)

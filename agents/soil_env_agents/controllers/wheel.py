@@ -37,14 +37,16 @@ class ConstantTorque(FullThrottle):
 
 
 class BestRoute(Controller):
-    """A constant command, on the route with the larger margin as identified."""
+    """A constant command, on the route with the larger margin of pull on the soil as identified."""
 
     name = "best_route"
     variant = "identified"
     bounds = {"share": ConstantTorque.bounds["share"]._replace(default=0.3)}
 
     def act(self, batch, state):
-        """The share of the largest action, [n, 1], at a halt with the choice of a route."""
+        """The setting `share` as the action, [n, 1]; at the halts before a fork its sign chooses
+        the route (`chosen`).
+        """
         share = np.full((len(batch), 1), self.settings["share"], dtype=np.float32)
         return self.chosen(batch, share, self.prefers_other_route(batch))
 
@@ -81,8 +83,10 @@ class SlipFollower(Ramped):
         raise NotImplementedError
 
     def rim_speed(self, observation, state):
-        """Rim speed [m/s], [n]: V/(1 - i) with the lead of `_LEAD`, at least the starting speed,
-        at most the ramp; i is the `target_slip`, at most `MOST_SLIP`.
+        """Rim speed [m/s], [n]: V/(1 - i) and a lead, at least the setting `start`, at most the
+        ramp.
+
+        i is the `target_slip`, at most `MOST_SLIP`; the lead is `_LEAD` times `start`.
         """
         ramp = self.ramp(observation, state, self.settings["acceleration"], self.settings["speed"])
         slip, rim = (observation[:, self.column[name]] for name in ("slip", "rim_speed"))
@@ -97,9 +101,8 @@ class SlipFollower(Ramped):
 class FixedSlip(Controller):
     """A rim speed whose acceleration holds a slip, from a creeping start up to a top speed.
 
-    A wheel that gains speed needs more pull than the slope alone, and so has more slip. The
-    acceleration of the rim therefore controls the slip while the rim speed is between start and
-    top.
+    A wheel that gains speed needs more pull than the slope alone, and so has more slip. So the slip
+    is held by the acceleration of the rim, as long as the rim speed is between `start` and `speed`.
     """
 
     name = "fixed_slip"
@@ -110,11 +113,13 @@ class FixedSlip(Controller):
     }
     memory = {**Controller.memory, "rim": 0, "gain": 0}
     step = 1.5  # [m/s2] change of the acceleration per action and unit of slip
-    most = 1.0  # [m/s2]
+    most = 1.0  # [m/s2] largest acceleration of the rim, and largest deceleration
 
     def rim_speed(self, observation, state):
         """Rim speed [m/s], [n]: the last one, at least `start`, plus its change in an action, cut
-        to [`start`, `speed`]; 0 at a halt. Keeps `rim` [m/s] and `gain` [m/s2] in `state`.
+        to [`start`, `speed`]; 0 at a halt.
+
+        Keeps `rim`, the rim speed [m/s], and `gain`, its acceleration [m/s2], in `state`.
         """
         start = self.settings["start"]
         top = self.settings["speed"]
@@ -184,9 +189,10 @@ class ExtremumSeeking(SlipFollower):
             )
 
     def target_slip(self, observation, state):
-        """The estimate with its swing, [n]; advances both. In a halt the regression stands still.
+        """Limit of the slip, [n]: the estimate of the best slip, plus its swing; advances both.
 
-        The means begin at 0, the slip and about the pull of a wheel at rest.
+        Means and estimate stand still in a halt. The means begin at 0, the slip and about the pull
+        of a wheel at rest.
         """
         driving = ~(self.halted(observation) | state["fresh"])
         slip, pull = (observation[:, self.column[name]] for name in ("slip", "drawbar_pull"))
@@ -226,7 +232,7 @@ class BestSlipIdentified(SlipFollower):
         belief = self.scenario.belief
         return SoilState(
             tan_phi=np.tan(np.clip(read("friction_angle"), 0.02, 1.4)),  # above 0 and finite
-            cohesion=1000.0 * read("cohesion"),
+            cohesion=1000.0 * read("cohesion"),  # observed in kPa
             shear_modulus=10.0 ** read("log10_shear_modulus"),
             sinkage_coefficient=10.0 ** read("log10_sinkage_coefficient"),
             sinkage_exponent=belief.sinkage_exponent,
@@ -248,8 +254,8 @@ class BestSlipIdentified(SlipFollower):
     def target_slip(self, observation, state):
         """Slip [n] of the highest steady pull that the motor can hold on the soil (`best_points`).
 
-        Computed again only for rows whose soil or load has changed by more than `CHANGE` since;
-        kept in `state` with them.
+        Kept in `state` with the soil and load that it was computed for, and computed again only for
+        rows where one of these has changed by more than `CHANGE`.
         """
         soils = self.soils(observation)
         load = self.load(observation)
@@ -268,7 +274,7 @@ class BestSlipTrue(BestSlipIdentified):
     variant = "true_soil"
 
     def soil_columns(self, observation):
-        """Soils read from the observation; `FLOW_LAW` is the belief's."""
+        """True soils, read from the observation; only the entries `FLOW_LAW` are the belief's."""
         read_too = ("sinkage_exponent", "dig_recovery")
         true = {name: observation[:, self.column[name]] for name in read_too}
         return super().soil_columns(observation)._replace(**true)
