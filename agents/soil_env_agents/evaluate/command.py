@@ -222,8 +222,10 @@ def _asked(options: SimpleNamespace, keys: tuple[str, ...]) -> Evaluation:
 def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
     """`asked` with tuned settings of the controllers that have none by --settings.
 
-    These are classical ones under their own name, and classes with `bounds`. A class is tuned again
-    where its code has changed (`code_digest`).
+    Tuned are classical ones under their own name, and classes with `bounds`. What `asked` has in
+    `tuned` stays, but a class is tuned again where its code has changed (`code_digest`).
+
+    ParameterError for several classes to tune under one name.
     """
     if not asked.tuning_courses:
         return asked

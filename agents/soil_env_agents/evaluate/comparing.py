@@ -68,7 +68,7 @@ def comparison(
     }
 
     def difference(a: str, b: str, m: str) -> dict:
-        """Bounds of a - b of the metric `m` on the same courses."""
+        """Bounds of the metric `m` of `a` less that of `b`, on the same courses."""
         x = scores[a][m]
         y = scores[b][m]
         of_draws = samples[a][m] - samples[b][m]
@@ -131,11 +131,12 @@ def _limit(
     seed: int,
     resamples: int,
 ) -> dict:
-    """{"courses", "metrics"} of the oracle, and "nobody": numbers of those of its courses that
-    neither it nor a controller finished, as some slopes are too steep.
+    """{"courses", "metrics", "nobody"} of the oracle, which has driven the first courses of the
+    controllers.
 
-    The oracle has driven the first courses of the controllers. "courses" is how many; "metrics" has
-    all `names`, undefined where the oracle has none of a metric.
+    "courses" is how many. "metrics" has all `names`, undefined where the oracle has none of a
+    metric. "nobody" lists the courses, counted from 0, that neither the oracle nor a controller
+    finished: some slopes are too steep.
     """
     finished = oracle.metric("finished") > 0.0
     for own in runs.values():

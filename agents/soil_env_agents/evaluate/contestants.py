@@ -52,8 +52,10 @@ _CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 
 
 def code_in(content: object) -> list[str]:
-    """Classes, as module:Class, that the content of a YAML file names as controllers, at any depth,
-    but for that of the shipped policy: what would be imported and run.
+    """Classes, as module:Class, that the content of a YAML file names as controllers, at any depth:
+    code that would be imported and run.
+
+    The class of the shipped policy is left out.
     """
     found = []
     if isinstance(content, dict):
@@ -187,7 +189,10 @@ def _is_model(path: Path) -> bool:
 
 
 def _undone(pattern: str) -> list[str]:
-    """Run folders without a model that a pattern of run folders, or of their model.zip, matches."""
+    """Run folders without a model that a glob `pattern` matches.
+
+    The pattern is one of run folders, or of their model.zip.
+    """
     folders = sorted(map(Path, glob.glob(pattern.removesuffix("/model.zip"), recursive=True)))
     return [
         str(path)

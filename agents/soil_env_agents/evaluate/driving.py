@@ -129,7 +129,9 @@ class Runs:
         """{name: values} for JSON, None where not defined."""
         arrays = {name: getattr(self, name) for name in _FIELDS} | self.more
         return {
-            name: [None if x != x else x for x in array.tolist()] for name, array in arrays.items()
+            # None for NaN, the only number that differs from itself: JSON has none.
+            name: [None if x != x else x for x in array.tolist()]
+            for name, array in arrays.items()
         }
 
     @classmethod
@@ -217,6 +219,9 @@ def simulate(
 ) -> Simulation | RoverSimulation:
     """The simulation of wheels, or rovers, of a scenario, each at the start of the course that its
     Generator of `rngs` draws.
+
+    `variant`: observation; `model`: effects of the world; `warnings` of wheels: keep
+    `worlds.recent`, which the probability of immobilisation is computed from.
     """
     count = len(rngs)
     sim = (
@@ -246,8 +251,7 @@ def drive(
     scenario says (`control.repeat`); between, its action is held. Rows of ended courses stay as
     they ended. Raises `ParameterError` for an action of another shape than [courses, 1], or
     [courses, axles], and for one that is not finite. The reward has no term `information`: it helps
-    to learn, and is no merit of a drive. `warnings`: keep the last seconds of the sensors in
-    `worlds.recent`.
+    to learn, and is no merit of a drive. `warnings`: as of `simulate`.
     """
     control = replace(scenario.control, **getattr(controller, "drives", {}))
     stepped = replace(
@@ -303,11 +307,14 @@ def _commands(
         value = action[bad[0]].tolist()
         said = value[0] if axles == 1 else value
         raise ParameterError(f"action {said} {when} {courses[bad[0]]}: expected a finite number")
+    # Actions of ended courses may be anything; they are not carried out.
     return np.clip(np.nan_to_num(action), -1.0, 1.0)
 
 
 class _Totals:
-    """Sums over the time of the courses of a simulation, side by side."""
+    """Sums over the control periods of courses that a simulation drives side by side; `runs` makes
+    `Runs` of them at the end.
+    """
 
     def __init__(self, sim):
         self.worlds = sim.worlds
@@ -406,8 +413,10 @@ class _Detailed(_Totals):
         self.drove: list[np.ndarray] = []
 
     def add(self, alive: np.ndarray) -> np.ndarray:
-        """As that of `_Totals`, and what `further_metrics` are of: of a period the work of the
-        motor [J] and that of the pull at its end, slip, sinkage [mm], alarms.
+        """As that of `_Totals`, and take in what `further_metrics` needs: work [J] of motor and
+        pull, slip, sinkage [mm], alarms.
+
+        The work of the pull is the pull at the end of the period times the way in it.
         """
         on = super().add(alive)
         s = self.state
@@ -439,8 +448,9 @@ class _Detailed(_Totals):
 
 
 def _percentiles(series, mask):
-    """Median and 95th percentile [2, courses] of the columns of `series` where `mask`, both
-    [periods, courses]; NaN of nothing.
+    """Median and 95th percentile of each column of `series` [periods, courses], [2, courses].
+
+    Only the periods where `mask` [periods, courses] is True count; NaN for a course without any.
     """
     columns = (x[chosen] for x, chosen in zip(series.T, mask.T, strict=True))
     return np.array(

@@ -42,7 +42,7 @@ class Evaluation(OfTask):
     tuned: dict[str, dict] = field(default_factory=dict)
     codes: dict = field(
         default_factory=dict
-    )  # {contestant: digest of the code of its class, as tuned}
+    )  # {contestant: `own.code_digest` of its class when it was tuned}
     #: Content of the model.yaml of the world's effects; empty = none.
     model: dict = field(default_factory=dict)
     detailed: bool = True  # with the metrics `DETAILED` of a wheel
@@ -91,8 +91,9 @@ class Block:
 
 
 def _blocks_of(courses: int, size: int, controllers: Collection[str]) -> list[Block]:
-    """Blocks of at most `size` of the first `courses`, for each range of courses one of each of
-    the `controllers`.
+    """Blocks that cover the first `courses`, of at most `size` courses each.
+
+    For each range of courses there is one block of each of the `controllers` (`Block.controller`).
     """
     return [
         Block(controller, first, min(size, courses - first))
@@ -199,8 +200,10 @@ class Job:
 
 
 def run(asked: Evaluation, folder: Path, engine: Engine, job: Job) -> dict:
-    """Drive what is missing in `folder`, with a progress bar; {controller: [runs of each member]},
-    and of `ORACLE` if it drives.
+    """Drive the blocks that are missing in `folder`, with a progress bar, and read all.
+
+    Returns {name of a contestant: [runs of each member]}, with `ORACLE` as one more name if the
+    oracle drives.
     """
     blocks = asked.blocks()
     names = {key: c.name for key, c in asked.controllers.items()} | {ORACLE: ORACLE}

@@ -55,6 +55,7 @@ def maker(source: str, scenario: Scenario) -> Callable[..., Any]:
     keywords.
     """
     if ":" in source:
+        # Without a name of its own it is named by its source in messages.
         return lambda **settings: _from_class(source, source, scenario, settings)
     _, make = controllers_of(scenario)
     return lambda **settings: make(source, scenario, **settings)

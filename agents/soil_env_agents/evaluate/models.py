@@ -48,8 +48,8 @@ _ALGORITHMS = (
 
 
 def load_model(path: Path, scenario: Scenario):
-    """An object with `predict` on raw observations and `variant`; ParameterError with one line if
-    it cannot be had.
+    """The controller in a file of a model: an object with `variant`, and with `predict` on
+    observations in their units. ParameterError with one line if there is none for the scenario.
 
     A policy.onnx of `export` is run by onnxruntime; an .npz is a default policy. A zip of
     train.py (soil_env.json inside) is loaded without unpickling. Any other zip of SB3 is unpickled,
@@ -189,7 +189,7 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
 
 @cache
 def _warn(line: str) -> None:
-    """Warn once, on stderr and not in worker processes."""
+    """Print a warning on stderr: the same `line` once in a process, nothing in worker processes."""
     if multiprocessing.parent_process() is None:
         print(f"warning: {line}", file=sys.stderr)
 
@@ -214,8 +214,8 @@ def _variant(model, path: Path, course: CourseSpec) -> tuple[str, Scaling]:
 class _Plain(Observing):
     """A model of SB3 that reads the observation of `variant`.
 
-    `choice` is the place of that reading in the observation for a model trained with `LineAction`,
-    else None.
+    `choice` is the column of the entry `choice` in the observation for a model trained with
+    `LineAction`, else None.
     """
 
     def __init__(

@@ -66,6 +66,7 @@ def code_digest(source: str) -> str:
             return ""
         file = Path(found.origin)
         files = {file}
+        # The folder on Python's path: above the packages that the name has.
         folder = file.parents[name.count(".") + (file.stem == "__init__")]
         if not any(folder.is_relative_to(place) for place in _installed()):
             files |= _imported_files(name, folder)
@@ -148,8 +149,11 @@ def bounds_of_settings(source: str, scenario: Scenario) -> Mapping[str, Setting]
 
 
 def as_driven(thing: Any, scenario: Any, who: str) -> Any:
-    """The scenario with the values of `control` that a controller, or its class, has in place of
-    the scenario's (`drives`). ParameterError for other keys and wrong values; `who` it is about.
+    """The scenario as a controller drives it: with the values of `control` in the `drives` of the
+    controller, or of its class, in place of the scenario's own.
+
+    ParameterError for keys other than action and repeat, and for wrong values; `who` names the
+    controller in the message.
     """
     drives = getattr(thing, "drives", {})
     if not (isinstance(drives, dict) and drives.keys() <= {"action", "repeat"}):
@@ -161,12 +165,13 @@ def as_driven(thing: Any, scenario: Any, who: str) -> Any:
 
 
 def made(source: str, scenario: Scenario, settings: dict, where: str) -> Any:
-    """The object of `module:Thing`; a class with `bounds` is called with the scenario and its
-    `settings`, any other with the scenario where it `_takes_scenario`, else without. So is a
-    function; an object with `predict` is returned as it is. ParameterError where the call fails.
+    """The controller of a `source` of the form `module:Thing`.
 
-    A class with `drives` gets the scenario in which it acts (`as_driven`). `where`: place of the
-    settings, for messages.
+    An object with `predict` is returned as it is. A class or function is called: with the scenario
+    and its `settings` if it has `bounds`, with the scenario if it `_takes_scenario`, else without.
+    One with `drives` gets the scenario as it drives it (`as_driven`).
+
+    ParameterError where the call fails, and for wrong settings; `where`: their place, for messages.
     """
     thing = imported(source)
     known = bounds_of_settings(source, scenario)
@@ -200,8 +205,10 @@ def _takes_scenario(thing) -> bool:
 
 
 def describe(error: BaseException) -> str:
-    """An exception in one line: its class, its message, and where it was raised, in code that is
-    not of Python or of an installed library if there is some.
+    """An exception in one line: its class, its message, and file and line where it was raised.
+
+    The place is the innermost one in the user's code, if there is any: neither in Python nor in an
+    installed library.
     """
     ours = str(Path(__file__).parent), importlib.__file__
     frames = [

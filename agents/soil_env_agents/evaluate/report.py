@@ -34,8 +34,10 @@ _CHOSEN = {
 
 
 def print_table(result: Mapping) -> None:
-    """Print the main metrics of all controllers, courses that nobody finished, settings, and of
-    detailed drives the immobilisations that were foreseen.
+    """Print the main metrics of all controllers, the courses that nobody finished, and settings.
+
+    Of detailed drives also print the share of immobilisations that were foreseen, and how far and
+    how long ahead.
     """
     show(*comparing.table(result), *comparing.nobody(result), *settings(result))
     if "foreseen" not in result["metrics"]:
@@ -64,7 +66,7 @@ def settings(result: Mapping) -> list[str]:
 
 
 def _values(values: Mapping[str, float]) -> str:
-    """Settings in one line."""
+    """Settings as text, "key value, key value", four digits each."""
     return ", ".join(f"{key} {value:.4g}" for key, value in values.items())
 
 

@@ -49,8 +49,9 @@ def _counts(rng, resamples, n):
 
 
 def interval(value: float, samples: np.ndarray) -> tuple[float, float]:
-    """Percentile interval at `LEVEL` of bootstrap samples, NaNs left out, never without `value`
-    itself.
+    """Percentile interval (low, high) at `LEVEL` of bootstrap `samples` [resamples], NaN left out.
+
+    It is widened to hold `value`, and is `value` alone where every sample is NaN.
     """
     samples = samples[np.isfinite(samples)]
     if not samples.size:
@@ -80,7 +81,8 @@ def bounds(value: float, samples: np.ndarray) -> dict[str, float]:
 
 
 def rate_bounds(value: float, samples: np.ndarray, trials: float, members: int) -> dict[str, float]:
-    """`bounds` of a rate: the Wilson interval of one member; the wider of both of several.
+    """`bounds` of a rate: the Wilson interval; for several `members` each end is the wider one of
+    Wilson's and the bootstrap's.
 
     `value` is the rate itself, `samples` its bootstrap draws. `trials` counts courses: several
     training seeds on one course are not independent trials.
@@ -100,7 +102,7 @@ def difference_bounds(a: np.ndarray, b: np.ndarray, samples: np.ndarray) -> dict
     Each end is the wider of the bootstrap's and that of Agresti & Min (2005, Statistics in Medicine
     24:729, Wald + 2). Theirs has a width even where no course differs.
     """
-    n = a.shape[1] + 2.0
+    n = a.shape[1] + 2.0  # courses, two of them added by the method
     # Shares of the courses on which a and b alone succeed, with half a course added to each.
     won, lost = (
         ((x[:, None] > y[None]).mean(axis=(0, 1)).sum() + 0.5) / n for x, y in ((a, b), (b, a))

@@ -21,7 +21,7 @@ class Column(NamedTuple):
     heading: str
     factor: float = 1.0  # from the unit of the metric to that of the heading
     digits: int = 2  # behind the point
-    bounds: bool = True  # with the interval
+    bounds: bool = True  # the value with its interval, else alone
 
 
 #: Columns of the printed table of wheels, and of rovers.
@@ -58,17 +58,24 @@ def cell(
 
 
 def points(m: Mapping) -> str:
-    """A difference of rates in percentage points, with its sign."""
+    """A difference of rates, {"value", "low", "high"} as shares, as text in percentage points with
+    its sign.
+    """
     return cell(m, 100.0, 1, sign=True)
 
 
 def difference(metric: str, m: Mapping) -> str:
-    """A difference of a metric with its sign, of a rate in percentage points."""
+    """A difference {"value", "low", "high"} of a metric as text with its sign, in percentage points
+    where the metric is a rate.
+    """
     return points(m) if metric in RATES else cell(m, sign=True)
 
 
 def metric_table(entries: Mapping[str, Mapping], columns: Sequence[Column], caption: str) -> Table:
-    """A row for each controller, of {controller: {metric: {"value", "low", "high"}}}."""
+    """A table of the metrics of `columns`, with a row for each controller.
+
+    `entries`: {controller: {metric: {"value", "low", "high"}}}.
+    """
     rows = [
         [name, *(cell(metrics[c.metric], c.factor, c.digits, bounds=c.bounds) for c in columns)]
         for name, metrics in entries.items()

@@ -30,7 +30,9 @@ from .own import bounds_of_settings, code_digest
 
 TUNED = "tuned"  # folder of configs/
 TRIALS = 40  # settings tried of each controller
-_TIE = 1e-4  # weight of the return beside the share of courses finished
+# Weight of the return beside the share of courses finished, in what the sampler maximises: small,
+# so that the return only breaks ties.
+_TIE = 1e-4
 _COURSES_A_TRIAL = 5  # fewer courses cannot distinguish more settings
 _LOCKED = 5  # [s] after which the lock of a process that was killed is taken over
 
@@ -173,6 +175,7 @@ def tried(
         study.sampler = optuna.samplers.TPESampler(
             seed=int(np.random.SeedSequence([number]).generate_state(1)[0])
         )
+        # A process that was killed may have left the defaults waiting.
         if number == 0 and not study.get_trials(states=(state.WAITING,)):
             defaults = {
                 key: float(np.clip(s.default * (top if s.rim_speed else 1.0), *bounds[key]))

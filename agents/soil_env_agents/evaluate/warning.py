@@ -34,7 +34,9 @@ def least_progress(scenario: Scenario) -> float:
 
 
 class Alarms:
-    """Alarms of `count` wheels, on and off with a `threshold` of the probability."""
+    """Alarms of `count` wheels by the probability of immobilisation, on from its `threshold`;
+    `period`: control period [s].
+    """
 
     def __init__(self, count: int, period: float, threshold: float):
         self.period = period
@@ -76,8 +78,10 @@ class Foresight:
         self.mobile_lead = np.full((count, 2), np.nan)
 
     def step(self, worlds: Worlds, alive: np.ndarray) -> None:
-        """Take in one control period of the wheels that are `alive` [count]: their alarms, and the
-        lead of those that are mobile, NaN without an alarm.
+        """Take in one control period of the wheels that are `alive` [count] bool.
+
+        It updates their alarms. Of wheels that are mobile in the period it keeps how far and how
+        long ago the alarm came on, NaN without one, until they are mobile again.
         """
         rows = np.flatnonzero(alive)
         period = self.period
