@@ -121,7 +121,8 @@ def _asked(run: Path, scenario: str | None) -> tuple[Path, Scenario, WheelSoilMo
     """(file of the agent RUN, its scenario, model of its world or None).
 
     `scenario`: that of --scenario, for an agent whose file has none of its own; None: the default.
-    ParameterError for one beside an agent with its own, for no agent, and for one of a rover.
+    ParameterError for a scenario beside an agent with its own, where RUN is no agent, and for an
+    agent of a rover.
     """
     if str(run) in SHIPPED:
         return WEIGHTS, load_scenario(scenario or DEFAULT_SCENARIO), None

@@ -45,11 +45,11 @@ class Graph:
         self.constants: dict[tuple, tuple[str, np.ndarray]] = {}
 
     def input(self, name: str, dtype: str) -> Traced:
-        """A value for an input of the graph; `info` describes it to `model`."""
+        """A value that stands for an input of the graph; `model` needs its `info`."""
         return Traced(self, name, np.dtype(dtype))
 
     def constant(self, value, dtype) -> Traced:
-        """A constant, kept once."""
+        """A constant of the graph; equal constants are kept once."""
         array = np.asarray(value, dtype=dtype)
         key = (array.dtype.str, array.shape, array.tobytes())
         kept = self.constants.setdefault(key, (f"c{len(self.constants)}", array))

@@ -28,8 +28,10 @@ def numbers(tensor) -> np.ndarray:
 
 
 def action_of(graph: Graph, policy, x: Values) -> Values:
-    """Actions [n, A] of the deterministic policy for observations `x` [n, D]; ParameterError for an
-    unknown network.
+    """Actions [n, A] of the deterministic policy of a model of SB3 for inputs `x` [n, D], not yet
+    cut to [-1, 1].
+
+    ParameterError for a network of another algorithm or with an unknown layer.
     """
     if hasattr(policy, "action_net") and not hasattr(policy, "lstm_actor"):  # PPO, A2C, TRPO
         own = policy.mlp_extractor

@@ -28,8 +28,8 @@ def onnx_model(agent, description: dict):
     """The ONNX model of a loaded agent (`evaluate.models.load_model`), `description` inside.
 
     Inputs: `observation` [n, D] float32, raw; for agents with a history `new_course` [n] bool and
-    `history`. Outputs: `action` [n, 1] float32 in [-1, 1], and `next_history`. ParameterError for a
-    network of no such form.
+    `history`. Outputs: `action` [n, 1] float32 in [-1, 1], and `next_history`. ParameterError for
+    actions of another space and for a network that `network.action_of` does not know.
     """
     shipped = isinstance(agent, DefaultPolicy)
     # Of a model trained with LineAction.
@@ -69,7 +69,11 @@ def onnx_model(agent, description: dict):
 
 
 def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None) -> dict:
-    """Content of policy.yaml before the comparison, as plain values."""
+    """Content of policy.yaml but for "proof", the comparison with the agent.
+
+    `name`: the agent's in the description; `scenario` and `world` (None: no effects): what it is
+    exported for.
+    """
     wheel = scenario.wheel
     control = scenario.control
     shipped = isinstance(agent, DefaultPolicy)
@@ -116,7 +120,10 @@ def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None)
 
 
 def _output(wheel: Wheel, control: Control) -> dict:
-    """Meaning of the action on a vehicle, and the value of an action of 1."""
+    """Meaning of the action on a vehicle, and as "scale" the value and unit of an action of 1.
+
+    Where the action is a rate of the rim speed, "limits" are those of this rim speed.
+    """
     if control.action == "torque":
         return {"meaning": "motor torque", "scale": {"value": wheel.stall_torque, "unit": "N m"}}
     if control.action == "wheel_speed":
