@@ -97,8 +97,10 @@ class Study(Checked):
     version: str = field(default_factory=code_version)
 
     def _check_together(self) -> None:
-        """ParameterError for a name that does not exist or cannot be part of a file's, and for an
-        arm that cannot be made on a scenario. The same without any arm, or scenario to make it on.
+        """ParameterError for a name that does not exist or cannot be part of the name of a file.
+
+        The same for an arm that cannot be made on a scenario, and for held-out courses that
+        controllers are tuned on. There is at least one arm, and one scenario to make it on.
         """
         sources = self.sources
         for name in (*self.targets, *self.arms):
@@ -152,7 +154,7 @@ class Study(Checked):
             within_bounds(arm.controller, bounds, scenario, arm.settings, where)
 
     def renewed(self, version: str) -> Study:
-        """This study by other code."""
+        """This study with the `version` of other code."""
         return dataclasses.replace(self, version=version)
 
     @property
@@ -290,7 +292,7 @@ def _target(path: Path, name: str, entry, common: dict) -> dict:
         (load_rover, entry.rover) if entry.rover else (load_scenario, entry.scenario or name)
     )
     try:
-        load_task(which)  # for its errors, which are none of the changes
+        load_task(which)  # for the errors of the file, apart from those of the changes
     except ParameterError as error:
         raise ParameterError(f"{where}: {error}") from None
     scenario = load_task(which, merge(common, entry.changes), f"{where}.changes")

@@ -45,8 +45,8 @@ def result(study: Study, folder: Path) -> dict:
 
 
 def _acting(world: WheelSoilModel) -> dict:
-    """Effects of a world with their parameters, how many terms its residual has, if any, and
-    whether it has a table of a remainder.
+    """What acts in a world: {name of an effect: its parameters}, and words for the number of terms
+    of its residual and for a table of its remainder, if there are some.
     """
     residual = {"residual": f"{len(world.residual)} terms"} if world.residual else {}
     remainder = {"remainder": "a table"} if world.remainder is not None else {}

@@ -156,8 +156,10 @@ class Work:
 
 
 def driven(study: Study, folder: Path) -> tuple[dict[str, dict[str, list[Runs]]], dict[str, dict]]:
-    """({target: {arm: [runs of each training seed]}} of the cells that are done, {cell:
-    settings}).
+    """Results of the cells that are done: ({target: {arm: [runs of each training seed]}},
+    {cell: settings of its controller}).
+
+    Targets without runs and cells without settings are left out.
     """
 
     def parse(content: dict) -> dict:
