@@ -82,7 +82,7 @@ class Info(Checked):
 
 
 def entries_of(scenario: Scenario | RoverScenario, variant: str) -> tuple[ObservedNumber, ...]:
-    """Entries of an observation variant, of a wheel or of a rover."""
+    """Entries of the observation `variant` of a scenario, of a wheel or of a rover."""
     if isinstance(scenario, RoverScenario):
         return rover_layout(variant, scenario.axles)
     return layout(variant, scenario.course)
@@ -128,7 +128,7 @@ class ChoosingPolicy(ActorCriticPolicy):
     """`MlpPolicy` with a head of its own for the choice of a route (`ChoosingExtractor`).
 
     Where the entry `choice` of an observation is 1, the mean action is the difference of the scores
-    of the two routes: exchanged routes give the opposite choice (Bromley et al. 1993, NIPS 6).
+    of the two routes. So exchanged routes give the opposite choice (Bromley et al. 1993, NIPS 6).
     """
 
     def __init__(self, *args, choice: int, routes: Sequence[list[int]], **kwargs):
@@ -348,5 +348,7 @@ class Agent(Remembering):
         self.layout = inputs.Layout(entries, self.variant)
 
     def act(self, x, deterministic):
-        """The mean action of the policy, or one drawn from its distribution."""
+        """The mean action of the policy if `deterministic`, else one drawn from its distribution;
+        [n, A] for inputs of the network [n, D].
+        """
         return self.policy.predict(x, deterministic=deterministic)[0]

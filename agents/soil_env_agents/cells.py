@@ -38,6 +38,7 @@ from .progress import console, show
 STUDY = "study.yaml"
 MADE_FROM = "made_from"  # key of a finished cell: digest of all that it depends on
 ATTEMPTS = 4  # at a cell whose worker has died
+# Environment variables with the number of threads of numerical libraries: 1 in `processes`.
 _SINGLE_THREADED = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
@@ -56,8 +57,10 @@ _NUMERICAL = ("numpy", "numba", "scipy", "torch", "stable-baselines3", "optuna")
 
 @functools.cache
 def code_version() -> str:
-    """Version of soil_env with a hash of its code and weights, of this package, and of the versions
-    of numerical libraries.
+    """Version of soil_env, then a hash, "VERSION+HASH": of the code and weights of soil_env and of
+    this package, and of the versions of `_NUMERICAL`.
+
+    Results are kept only as long as it stays the same.
     """
     here = Path(soil_env.__file__).parent
     there = Path(__file__).parent
@@ -76,8 +79,8 @@ class OtherStudy(ParameterError):
 
 
 def is_begun(study, folder: Path, ignored: Collection[str]) -> bool:
-    """True if `folder` holds this study (a dataclass) already; False for one that is missing, which
-    is made, or empty.
+    """True if `folder` holds this study (a dataclass) already; False if it is unused. A missing
+    folder is made.
 
     `ignored` fields and the version of the code may differ.
 
@@ -260,7 +263,7 @@ def in_process(work: Callable, cells: Iterable) -> Generator[tuple, None, None]:
 
 
 class _Worker:
-    """State of a worker process."""
+    """State of a worker process (`processes`): attributes of the class, set by `_begin`."""
 
     work: Callable
     busy = False  # with a cell, so that SIGTERM interrupts it
@@ -287,8 +290,10 @@ def _begin(work: Callable) -> None:
 
 @contextlib.contextmanager
 def _ctrl_c_held_back() -> Iterator[None]:
-    """Hold SIGINT back inside the block, and in processes started there until `_begin`: Ctrl-C of a
-    terminal reaches them during their imports, too. Windows has no such block.
+    """Hold SIGINT back inside the block, and in processes started there until `_begin` ignores it.
+
+    Without it Ctrl-C of a terminal, which reaches all processes, would interrupt their imports.
+    Where signals cannot be blocked, as on Windows, nothing is held back.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield

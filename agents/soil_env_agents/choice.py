@@ -16,7 +16,7 @@ from torch.nn import functional
 KEPT = 400_000  # newest choices that are learned from
 BATCH = 2048  # choices of an update
 RATE = 2e-3  # learning rate of Adam at the start, chosen
-LEAST_RATE = 0.02  # of `RATE`
+LEAST_RATE = 0.02  # [of `RATE`] at which the learning rate stops falling
 PASSES = 20  # over the choices that are new, drawn from all that are kept
 
 
@@ -24,7 +24,7 @@ class ChoiceVecEnv(VecEnvWrapper):
     """A vector environment that keeps the routes taken, and whether the wheel came over them.
 
     `choice`: column of the observation that is 1 where the next action chooses a route. `routes`:
-    columns of the route ahead and of that beside.
+    columns of the route ahead and of that beside (`history.columns_of_routes`).
     """
 
     def __init__(self, venv: VecEnv, choice: int, routes: list[list[int]]):
@@ -38,7 +38,7 @@ class ChoiceVecEnv(VecEnvWrapper):
         self.seen = np.zeros((self.num_envs, *venv.observation_space.shape), dtype=np.float32)
         # The route that each wheel took last.
         self.on = np.zeros((self.num_envs, len(routes[0])), dtype=np.float32)
-        # [wheels] on a route whose end is not known; chose with their last action.
+        # Masks [wheels]: on a route whose end is not known; chose a route with their last action.
         self.under_way, self.chose = np.zeros((2, self.num_envs), dtype=bool)
 
     @property
@@ -54,13 +54,15 @@ class ChoiceVecEnv(VecEnvWrapper):
         return self.seen
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Note the routes that `actions` [wheels, 1] choose, below 0 the one beside; a wheel that
-        comes to its next choice has come over its last route.
+        """Note the routes that `actions` [wheels, 1] choose: below 0 the one beside, else the one
+        ahead.
+
+        A wheel that comes to its next choice has come over its last route, which is kept.
         """
         choosing = self.choosing
         self._keep(np.flatnonzero(choosing & ~self.chose & self.under_way), 1.0)
         ahead, beside = (self.seen[:, columns] for columns in self.routes)
-        # In a halt the last action decides.
+        # A halt may last several actions; the last one decides.
         self.on[choosing] = np.where(actions < 0.0, beside, ahead)[choosing]
         self.under_way |= choosing
         self.chose = choosing
@@ -86,10 +88,10 @@ class ChoiceVecEnv(VecEnvWrapper):
 
 
 class Chooser(BaseCallback):
-    """Logistic regression of whether the wheel came over a route on the entries of that route,
-    continued after each rollout of PPO; as a student learns, `learn` is called.
+    """Logistic regression of whether the wheel came over a route, on the entries of that route.
 
-    Nothing is learned in an environment without routes. `rng` draws the choices of an update.
+    As a callback of PPO it learns after each rollout; `student.teach` calls `learn` itself. Nothing
+    is learned in an environment without routes. `rng` draws the choices of an update.
     """
 
     def __init__(self, model: PPO, rng: np.random.Generator):
@@ -124,8 +126,8 @@ class Chooser(BaseCallback):
         self.learn(self.left)
 
     def learn(self, left: float) -> None:
-        """Go on by `PASSES` times the new choices over `BATCH` updates; each draws a batch from all
-        choices that are kept, new and old.
+        """Make `PASSES` x (new choices) / `BATCH` updates, each on a batch drawn from all choices
+        that are kept, new and old.
 
         `left`: share of the training that is left, with which the learning rate falls. Choices too
         few for one update, or fewer than `BATCH` that are kept, wait for the next call.

@@ -34,7 +34,7 @@ _FAILURES = (ParameterError, OSError, MemoryError)  # that end a command with on
 _BEGINNINGS = ("study.yaml", "config.yaml", "scenario.yaml")
 
 
-#: The argument `keys`: all options that the command does not have.
+#: The argument `keys`: all arguments that are no option of the command; `overrides` reads them.
 keys_argument = click.argument("keys", nargs=-1, type=click.UNPROCESSED, metavar="[--KEY VALUE]...")
 allow_code_option = click.option(
     "--allow-code", is_flag=True, help="Import the modules that the study's file names."
@@ -49,7 +49,7 @@ scenario_option = click.option(
 
 
 def engine_options(command: Callable) -> Callable:
-    """Add --engine, --workers and --address."""
+    """Add the options --engine, --workers and --address (`cells.choose`) to a click command."""
     for option in (
         click.option(
             "--address",
@@ -79,8 +79,8 @@ def overrides(arguments: list[str] | tuple[str, ...], file_option: str = "") -> 
     A - in a key is read as _, but in NAME of settings.NAME.KEY, which may have points too. Values
     are read as YAML, but those of `_TEXT`, and what is no YAML, stay text.
 
-    ParameterError for a key given twice or without a value, and for what is no key. There a YAML
-    file is answered by the option `file_option` that takes it, if there is one.
+    ParameterError for a key given twice or without a value, and for an argument that is no --KEY.
+    If it is a YAML file the message proposes `file_option`, the option that takes files.
     """
     out: dict = {}
     rest = list(arguments)
@@ -113,7 +113,10 @@ def overrides(arguments: list[str] | tuple[str, ...], file_option: str = "") -> 
 
 
 def _path(name: str) -> tuple[str, ...]:
-    """Keys from the outermost to that of the value, of the option --NAME (`overrides`)."""
+    """Nested keys, the outermost first, of the option --NAME: "ppo.n-steps" -> ("ppo", "n_steps").
+
+    Of settings.NAME.KEY there are three, whatever points NAME has.
+    """
     head, _, rest = name.partition(".")
     owner, _, key = rest.rpartition(".")
     if head == "settings" and owner:
@@ -141,8 +144,8 @@ def as_options() -> Iterator[None]:
 
 @contextmanager
 def controllers_as(option: str) -> Iterator[None]:
-    """Inside the block the beginning "controllers: " of a ParameterError becomes that of this
-    `option`; other errors stay as they are.
+    """Inside the block a ParameterError that begins with "controllers: " begins with the name of
+    this `option` instead; other errors stay as they are.
     """
     try:
         yield
@@ -176,8 +179,11 @@ def continued_by(command: str, folder: Path) -> Iterator[None]:
 
 @contextmanager
 def begun_in(folder: Path, new: bool, made: bool) -> Iterator[None]:
-    """Empty a `new` folder again where an error ends the block before any work is done in it;
-    remove one that the command `made`.
+    """Undo the beginning of a command in `folder` where an error (`_FAILURES`) ends the block
+    before any work is done.
+
+    A folder that is `new` (missing or unused before) is emptied, and removed if the command `made`
+    it. Another one stays as it is.
     """
     try:
         yield
@@ -193,7 +199,9 @@ def begun_in(folder: Path, new: bool, made: bool) -> Iterator[None]:
 
 
 def _has_work(folder: Path) -> bool:
-    """True if a folder holds more than what a command writes there before it begins."""
+    """True if a folder holds files beside `_BEGINNINGS`, which a command writes before its work,
+    and hidden ones.
+    """
     return any(
         path.is_file() and path.name not in _BEGINNINGS and not path.name.startswith(".")
         for path in folder.rglob("*")

@@ -1,10 +1,11 @@
 """One observation layout for every wheel scenario, so that one agent can drive all of them.
 
 It is the layout `identified` of a course with three terrain classes and two routes, a flag, 1
-where a camera sees them, and three constants of the drive. Without a camera its entries are 0. Then
-come the misfit of the identified soil, which is the measured pull less the best one that this soil
-should give, and the shares of bands of slip, in which `history` keeps the misfit of the course so
-far.
+where a camera sees them, and three constants of the drive. Without a camera its entries are 0.
+
+Then comes the misfit of the identified soil: the measured pull over the load, less the best one
+that this soil should give. Last are the shares of the slip in bands, in each of which `history`
+averages the misfit over the course so far.
 """
 
 import numpy as np
@@ -17,7 +18,8 @@ from soil_env.simulation.task.scaling import Scaling
 
 ACTION = "rim_acceleration"  # action of the scenarios that this policy drives
 PERIOD = 0.5  # [s] between two actions
-#: Readings that it has; others are left out, so that a policy drives on where a sensor is added.
+#: Readings that the layout has; others are left out, so that a policy still drives after a sensor
+#: was added to the observation `identified`.
 READ = (
     "slip",
     "sinkage",
@@ -39,7 +41,7 @@ COMMON = tuple(
 #: speed], stall torque [of weight x radius], radius [m].
 ADDED = ("camera", "command_change", "stall_torque", "radius")
 EDGES = (0.1, 0.25, 0.5, 0.8)  # slip at which each band begins
-WIDTH = 0.05  # slip over which the share in a band rises from 0 to 1
+WIDTH = 0.05  # slip from the edge of a band on, over which the share in it rises from 0 to 1
 LEAST_LOAD = 0.3  # [of weight] by which a pull is divided at least
 NAMES = (
     *(e.name for e in COMMON),

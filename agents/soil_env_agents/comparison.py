@@ -22,7 +22,7 @@ from .progress import show
 
 FOLDER = "comparison"  # in a run folder, with the files of `soil-env evaluate`
 DONE = f"{FOLDER}/evaluation.json"
-_BLOCK = 500  # courses side by side
+_BLOCK = 500  # courses side by side, at most
 _WITH_TRUE_SOIL = "best_slip_true"
 
 

@@ -18,7 +18,7 @@ NAMES = {"blind": "agent_blind", "identified": "agent_identified", "true_soil": 
 
 
 def _text(default: str, doc: str):
-    """A dataclass field of text."""
+    """A dataclass field of text, with its default and its line in the help (`doc`)."""
     return field(default=default, metadata={"doc": doc})
 
 
@@ -158,8 +158,9 @@ class TrainConfig(OfWorld):
     def _check_together(self) -> None:
         """Fill in the scenario and the oracle's courses: for None up to 50, of a rover none.
 
-        FieldError for a scenario or courses of the oracle beside a rover, for more of these than
-        are compared, and where no wheel is left in the world without a hidden effect.
+        FieldError for a scenario or courses of the oracle beside a rover, and for more courses of
+        the oracle than are compared. The same where no wheel is left in the world without a hidden
+        effect.
         """
         beside = f"expected none beside rover = {self.rover!r}"
         if self.rover and self.scenario:

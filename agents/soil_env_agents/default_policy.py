@@ -22,6 +22,7 @@ NAME = "default_policy"
 MOST_BYTES = 2**26  # unpacked; the shipped file has a fourth of a megabyte
 CLIP = 10.0  # of a normalised input
 LAYERS = ("policy_0", "policy_1", "action")  # each with a weight [out, in] and a bias [out]
+# End of the messages about a file that holds no weights of a default policy.
 _EXPECTED = (
     f"expected an .npz of {__package__}.generalist; the shipped one comes again with an "
     "installation"
@@ -87,7 +88,9 @@ class DefaultPolicy(Remembering):
         self.layout = inputs.Layout(layout(self.variant, scenario.course), self.variant)
 
     def act(self, x, deterministic):
-        """The one action, whatever `deterministic` says."""
+        """Actions [n, 1] in [-1, 1] for inputs [n, D]; they are the same whatever `deterministic`
+        says.
+        """
         return np.clip(self.action(x), -1.0, 1.0)
 
     def action(self, x):

@@ -130,7 +130,8 @@ def command(
             action=control.action,
             repeat=1,
         )
-        held = control.action_periods  # of one period each
+        # The environment is stepped one control period at a time, so `_drive` holds the actions.
+        held = control.action_periods
         with controllers_as(option):
             frames, info, steps = _drive(env, name, driver, held, seed, frame, film_every)
         films[name] = frames or ([env.render()] if out else [])
@@ -164,7 +165,7 @@ def _side_by_side(films: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
             part = Image.new("RGB", (view.shape[1], view.shape[0] + _TITLE), "white")
             part.paste(Image.fromarray(view), (0, _TITLE))
             ImageDraw.Draw(part).text((SCENE[0], 4), name, "black", font_size=24)
-            # Of even sizes, as the codec of .mp4 wants them.
+            # 0.7 of the size, in even numbers, as the codec of .mp4 wants them.
             parts.append(
                 np.asarray(part.resize((part.width * 7 // 20 * 2, part.height * 7 // 20 * 2)))
             )
@@ -205,8 +206,9 @@ def _drive(
 
 
 def _video(frames: list[np.ndarray]) -> bytes:
-    """Frames as MP4, ten a second, which ffmpeg writes into a temporary folder; OSError where it
-    lacks some.
+    """Frames as the bytes of an MP4, ten a second, which ffmpeg writes into a temporary folder.
+
+    OSError where the video has fewer frames than were given.
     """
     from imageio_ffmpeg import count_frames_and_secs, write_frames
 
@@ -224,14 +226,16 @@ def _video(frames: list[np.ndarray]) -> bytes:
 
 
 def _picture(frames: list[np.ndarray], suffix: str) -> bytes:
-    """The frames as GIF, 0.1 s each, repeated without end, or the first one as PNG; `suffix`: .gif
-    or .png.
+    """Bytes of a picture: the frames as GIF, 0.1 s each, repeated without end, or the first one as
+    PNG.
+
+    `suffix`: .gif or .png.
     """
     from PIL import Image
 
     images = [Image.fromarray(frame) for frame in frames]
     if len(images) > 1:
-        # Keeps colours of small areas.
+        # 64 colours for each frame, chosen by an octree: it keeps the colours of small areas.
         images = [image.quantize(64, Image.Quantize.FASTOCTREE) for image in images]
     more = {"save_all": True, "append_images": images[1:], "duration": 100, "loop": 0}
     stream = io.BytesIO()

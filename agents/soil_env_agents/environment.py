@@ -56,7 +56,7 @@ def normalised(
     worlds = list(world) if isinstance(world, Sequence) else [world]
     shares = even_shares(config.num_envs, len(worlds))
     kind = SoilRoverVecEnv if isinstance(scenario, RoverScenario) else SoilWheelVecEnv
-    # `scatter`: the scenario's wheel and soils in the world of a model.
+    # `scatter` keeps the scenario's wheel and soils in the world of a model.
     parts = [
         kind(
             share, scenario, observation, threads=config.threads, model=one, scatter=one is not None
@@ -115,8 +115,8 @@ class Moments(RunningMeanStd):
     def update_from_moments(self, batch_mean, batch_var, batch_count) -> None:
         """Take in the moments of a batch, then give both routes the mean of theirs."""
         super().update_from_moments(batch_mean, batch_var, batch_count)
-        # Before this both routes had the same moments, so these are about those of all their
-        # values.
+        # Both routes had the same moments before the batch, so their mean is about the moment of
+        # the values of both together.
         for values in (self.mean, self.var):
             mean = 0.5 * (values[self.routes[0]] + values[self.routes[1]])
             values[self.routes[0]] = mean
@@ -174,7 +174,7 @@ class TeacherPenalty(VecEnvWrapper):
         self.penalty = 0.0  # of the step under way, [wheels] if the weight is not 0
 
     def penalise(self, weight: float) -> None:
-        """Set the weight, of the actions to come."""
+        """Set the weight of the penalty for the actions to come; with 0 there is none."""
         self.penalty_weight = weight
         self.penalty = 0.0
 
@@ -248,7 +248,9 @@ def hidden_worlds(
 
 def _drawn(scenario: Scenario, effect: Effect, rng: np.random.Generator) -> WheelSoilModel:
     """World with this effect alone, in a form and of a size that are drawn, on the wheel of the
-    scenario; for `grousers` that has lugs of `_HEIGHT`.
+    scenario.
+
+    For `grousers` the wheel has lugs of `_HEIGHT` times the radius.
     """
     form = effect.forms[rng.integers(len(effect.forms))]
     values = {name: _size(effect.parameter(name), rng) for name in form.free} | dict(form.fixed)
@@ -262,7 +264,8 @@ def _size(p: EffectParameter, rng: np.random.Generator) -> float:
     """Value of a parameter, drawn evenly within one standard deviation of its prior and within
     [low, high].
 
-    Evenly in the logarithm about `centre` where it has one, else about `neutral`, where it is off.
+    With a `centre` it is drawn about that, evenly in the logarithm. Else it is drawn about
+    `neutral`, where the effect is off.
     """
     share = rng.uniform(-1.0, 1.0)
     if p.centre is not None:

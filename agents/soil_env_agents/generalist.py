@@ -53,10 +53,10 @@ CONFIG = "default_policy.yaml"
 ACCELERATIONS = (1.0, 0.55, 0.3)  # factors of the teacher's acceleration
 SHARES = (1.0, 0.6, 1.6)  # factors of its share of the best slip
 SOFT_START = {"start": 1.0, "acceleration": 0.07}  # beside them, without a limit of the slip
-#: Rounds of it in one world: courses of each setting, and settings that are left.
+#: Rounds of `chosen` in one world: courses of each setting, and settings that are left after it.
 ROUNDS = ((50, 3), (200, 2), (300, 1))
 OF_GROUND = ((40, 3), (60, 1))  # the same for all worlds of a ground
-TEACHING_SET = 5_000_011  # course set of these rounds
+TEACHING_SET = 5_000_011  # course set of these rounds (`evaluate.driving.course_rng`)
 
 
 @dataclass(frozen=True)
@@ -85,9 +85,10 @@ class Generalist(Checked):
     ppo: PPOConfig = PPOConfig()  # but for its num_envs
 
     def _check_together(self) -> None:
-        """ParameterError for what would fail, or be another policy, after hours of training: an
-        effect that is none of `HIDDEN`, no ground or effect, a hidden world without a wheel, and a
-        network that `DefaultPolicy` does not have.
+        """ParameterError for what would fail, or be another policy, after hours of training.
+
+        That is an effect that is none of `HIDDEN`, no ground or effect, a world without a wheel,
+        and a network that `DefaultPolicy` does not have.
         """
         for name in self.effects:
             if name not in HIDDEN:
@@ -116,12 +117,12 @@ class Generalist(Checked):
         return scenario, hidden_worlds(scenario, self.hidden, seed, self.effects)
 
     def teacher(self, cell: tuple[str, int], threads: int | None) -> dict[str, float]:
-        """Settings of the teacher for a (ground, world): 0 for the world without an effect, from 1
-        for the hidden ones.
+        """Settings of the teacher (`teachers.SETTINGS`) for a `cell` (ground, world): 0 for the
+        world without an effect, from 1 for the hidden ones.
 
-        Each hidden world has the teacher that does best in it, and the world without an effect the
-        one that does best in all worlds of the ground: at the start of a course the student cannot
-        distinguish them. On a ground without hidden worlds they are the ground's own.
+        Each hidden world has the teacher that does best in it. The world without an effect has the
+        one that does best in all worlds of the ground, since at the start of a course the student
+        cannot distinguish them. Without hidden worlds the settings are the ground's own.
         """
         name, world = cell
         scenario, hidden = self.ground(name)
@@ -164,7 +165,9 @@ class Generalist(Checked):
         return ppo.learner(side_by_side(parts, self.ppo, self.seed), self.ppo, self.seed)
 
     def cells(self) -> list[tuple[str, int]]:
-        """All (ground, world) that have a teacher; the long ones first."""
+        """All (ground, world) that have a teacher; those that take longest to choose first, so that
+        the processes end together.
+        """
         return [(name, k) for k in range(self.hidden + 1) for name in self.grounds]
 
 

@@ -3,7 +3,7 @@
 The readings of the last `steps` steps follow the present observation, as with stacked frames (Mnih
 et al. 2015, Nature 518:529). Where a camera distinguishes terrain classes, moving averages of the
 readings on each class are kept too, and those of the classes seen ahead follow. Where an
-observation has bands of slip, moving averages of its misfit in each band follow: over a course they
+observation has bands of slip, moving averages of its misfit in each band follow. Over a course they
 show what the pull does at slips at which the wheel is not now.
 """
 
@@ -30,8 +30,8 @@ class History:
     readings itself.
 
     With terrain classes (`here_class_1`, ...) the history has two more parts for the class of each
-    line ahead: the moving average of the readings on it, and the weight of this average, from 0
-    (class not met) towards 1.
+    route ahead. They are the moving average of the readings on it, and the weight of this average,
+    from 0 (class not met) towards 1. With bands of slip it has these two of the misfit in each.
     """
 
     def __init__(self, names: Sequence[str], steps: int):
@@ -55,8 +55,8 @@ class History:
         ]
         self.bands = [k for k, name in enumerate(names) if name.startswith("slip_band_")]
         misfit = [names.index("misfit")] if self.bands else []
-        #: (entry that says how much a step counts, entries averaged, weight of a step) of each
-        #: average.
+        #: Of each average: column that says how much a step counts, columns averaged, weight of a
+        #: step.
         self.averages = [(k, self.columns, SHARE) for k in self.classes] + [
             (k, misfit, BAND_SHARE) for k in self.bands
         ]
@@ -83,15 +83,16 @@ class History:
     def observe(self, seen, kept, fresh):
         """(observation with its history, readings kept for the next step) for observations [n, D].
 
-        The history comes after the D entries of the layout, newest step first. On a new course,
-        `fresh` [n] bool, the present readings stand in for the past, whatever `kept` [n, self.kept]
-        holds: readings, newest first, then of each average its weighted sums and its weight. All
-        are arrays, or values of an ONNX graph (`export`).
+        The history comes after the D entries of the layout, newest step first. `kept`
+        [n, self.kept] holds readings, newest first, then of each average its weighted sums and its
+        weight. On a new course, `fresh` [n] bool, it does not count: the present readings stand in
+        for the past ones. All are arrays, or values of an ONNX graph (`export`).
         """
         # Columns are taken by lists of their numbers, since values of a graph know no slices.
         m = len(self.columns)
         moved = np.concatenate([seen[:, self.columns], kept[:, [*range(self.past)]]], axis=1)
         # What is kept: present and past readings, then for each average its sums and its weight.
+        # On a new course the present readings are repeated.
         now = [np.where(fresh[:, None], seen[:, self.columns * (self.steps + 1)], moved)]
         driving = 1.0 - seen[:, [self.halted]]
         first = m + self.past  # column of an average in `kept`

@@ -13,7 +13,8 @@ from soil_env.parameters import Scenario
 from soil_env.simulation.task import ObservedNumber
 from soil_env.simulation.task.scaling import Scaling
 
-_ROUNDING = 1e-5  # of the range of an entry: added by scaling and back
+# [of the range of an entry] beyond its bounds that is let pass: the rounding of scaling and back
+_ROUNDING = 1e-5
 #: Entries that are exactly 0 at the start of a course, so that a scaled observation is known there.
 _BEGIN = ("odometry", "rim_command")
 _UNITS = (
@@ -153,7 +154,10 @@ def starts(episode_start, count: int, default: bool) -> np.ndarray:
 
 
 def memory(state, shape: tuple[int, ...]) -> np.ndarray:
-    """A memory of this `shape`, float32, zeros for None; ParameterError for anything else."""
+    """The `state` of an agent with a history as an array of this `shape`, float32; zeros for None.
+
+    ParameterError for another shape, and for what is no finite number.
+    """
     if state is None:
         return np.zeros(shape, dtype=np.float32)
     expected = (

@@ -34,8 +34,10 @@ def build(
     tensorboard: Path | None = None,
     world: World = None,
 ) -> PPO:
-    """A fresh agent (`learner`) in the vector environment of `normalised`, whose arguments are the
-    first four and `world`. `save` needs the `origin` that it gets.
+    """A fresh agent (`learner`) in the vector environment `normalised(scenario, observation,
+    config, seed, world)`.
+
+    `tensorboard`: folder of the logs. `save` needs the attribute `origin` that the agent gets here.
     """
     model = learner(
         normalised(scenario, observation, config, seed, world), config, seed, tensorboard
@@ -58,7 +60,7 @@ def learner(
     model = PPO(
         policy,
         env,
-        # Of the share that is left.
+        # SB3 calls it with the share of the training that is left.
         learning_rate=lambda left: config.learning_rate * max(left, 0.05),
         **{name: getattr(config, name) for name in _SAME},
         policy_kwargs=arguments,
@@ -69,7 +71,7 @@ def learner(
     with torch.no_grad():  # exploring around full stop would teach little but how to stall
         model.policy.action_net.bias.fill_(config.initial_action)
         if hasattr(model.policy.mlp_extractor, "line_net"):  # no route is preferred at first
-            model.policy.mlp_extractor.line_net[-1].weight.mul_(0.01)
+            model.policy.mlp_extractor.line_net[-1].weight.mul_(0.01)  # scores near 0
     return model
 
 
@@ -103,8 +105,8 @@ class Schedules(BaseCallback):
 def save(model: PPO, path: Path) -> None:
     """Save an agent of `build` to `path` (.zip) by an atomic write, with what `resume` needs.
 
-    It is SB3's zip with the `Info` as one more member. The `Info` keeps the effects of the first
-    world alone.
+    It is SB3's zip with an `agent.Info` as one more member. Of several worlds the `Info` keeps the
+    effects of the first one.
     """
     env = model.get_vec_normalize_env()
     world = env.get_attr("model")[0]

@@ -26,9 +26,9 @@ _RECENT = 30.0  # [s] whose speed the remaining time of a bar with one row follo
 class Bar:
     """Progress of one job: live on a terminal, a line every tenth of the way elsewhere.
 
-    `total`: amount, or {part: amount} where some parts may be much slower than others: each has its
-    own row and remaining time, shown as soon as that part has advanced twice. `done`: amount that
-    is done at the start, of a bar with one row. Use with `with`.
+    `total`: amount in the `unit`, or {part: amount} where some parts may be much slower than
+    others. Each part has its own row, and a remaining time as soon as it has advanced twice.
+    `done`: amount that is done at the start, of a bar with one row. Use with `with`.
     """
 
     def __init__(self, title: str, total: int | Mapping[str, int], unit: str, done: int = 0):
@@ -71,9 +71,10 @@ class Bar:
     def update(
         self, done: int | None = None, advance: int = 0, note: str = "", part: str = ""
     ) -> None:
-        """Set the amount `done` of the whole job, or add to it what `advance` says; a bar of parts
-        needs the `part` that got on. `note` is shown beside it, but not on a live row of a part,
-        which has its own name.
+        """Set the amount that is done of the whole job to `done`, or increase it by `advance`.
+
+        A bar of parts needs the `part` that got on. `note` is shown beside the amount, but not on a
+        live row of a part, which has a name of its own.
         """
         step = advance if done is None else done - self.done
         self.done += step

@@ -77,8 +77,9 @@ def serve(policy):
 
 
 def compared(policy, course):
-    """(largest difference of the actions on the steps of course.npz, times of a step of one wheel
-    [us]).
+    """Compare a policy with the recorded actions of an agent on the steps of course.npz, `course`.
+
+    Returns the largest difference of the actions, and the time of each step of one wheel [us].
     """
     memory = None
     worst = 0.0

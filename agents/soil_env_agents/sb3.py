@@ -15,11 +15,15 @@ from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.envs.wheels import Simulation
 from soil_env.simulation.task import Cause, layout, truth
 
-_OWN = {"autoreset_mode": AutoresetMode.DISABLED, "info": "none"}  # keywords of `CourseVecEnv`
+# Keywords that `CourseVecEnv` makes its environment with; a user may not give them.
+_OWN = {"autoreset_mode": AutoresetMode.DISABLED, "info": "none"}
 
 
 class NativeVecEnv(VecEnv):
-    """Base: courses that are stepped in one call, so that none is an object of its own."""
+    """Base: a `VecEnv` of courses that are stepped in one call; no course is an object of its own.
+
+    So attributes and methods of a course are those of the vector environment that has it.
+    """
 
     render_mode = None
 
@@ -68,8 +72,8 @@ class CourseVecEnv(NativeVecEnv):
 
     Infos of finished courses carry `terminal_observation`, `TimeLimit.truncated`, `episode` {r, l,
     t} and `cause`; all others share one empty dict, which must not be written to. The time limit of
-    the scenario ends an episode as being stuck does; what `max_episode_steps` or a wrapper of `env`
-    truncates is truncated here.
+    the scenario terminates an episode, as being stuck does; `TimeLimit.truncated` is True only
+    where `max_episode_steps` or a wrapper of `env` truncates.
 
     `kind` makes the environment; `task`, its scenario or rover and the observation, and the
     `options` are its arguments.
@@ -125,9 +129,11 @@ class CourseVecEnv(NativeVecEnv):
         self._actions = actions
 
     def step_wait(self):
-        """One action; (observations, rewards, dones, infos).
+        """Carry out the actions of `step_async`; (observations, rewards, dones, infos).
 
-        An action that is not finite raises ValueError.
+        Courses that ended are reset: their observation is the first of a new course, their last one
+        is in their info. ResetNeeded without `step_async`; ValueError for an action that is not
+        finite.
         """
         if self._actions is None:
             raise ResetNeeded("step_wait() before step_async(actions)")
@@ -159,6 +165,9 @@ class SoilWheelVecEnv(CourseVecEnv):
     simulation: Simulation
 
     def _true_soil(self):
+        """The entries that are observed, and those of the true soil, in the order of the layout
+        `true_soil`.
+        """
         observed = self.simulation.worlds.observation
         own = dict(zip(self.env.unwrapped.observation_names, observed.T, strict=True))
         own |= zip(

@@ -4,8 +4,8 @@ The teacher is `best_slip_true`: it knows the true soil under the wheel and that
 (privileged teacher: Lee et al. 2020, Science Robotics 5:eabc5986; Kumar et al. 2021, RSS). The
 student drives by its own observation. It learns the acceleration of the teacher in every state that
 it comes to itself, by least squares (DAgger: Ross, Gordon & Bagnell 2011, AISTATS). So where the
-soil is not known it learns the mean. The choice of a route it learns from what becomes of it
-(`choice`), and its value network the returns of the last rounds, so that PPO can go on from
+soil is not known it learns the mean. It learns the choice of a route from what becomes of it
+(`choice`). Its value network learns the returns of the last rounds, so that PPO can go on from
 here.
 """
 
@@ -26,12 +26,12 @@ KEPT = 800_000  # newest steps that are learnt from, unless asked otherwise
 PASSES = 7  # over the steps of a round, drawn from all that are kept
 BATCH = 2048  # steps of an update
 RATE = 2e-3  # learning rate of Adam at the start, chosen
-NOISE = 0.2  # sd of the noise of the action
+NOISE = 0.2  # standard deviation of the noise that is added to an action
 MEMORY = 0.8  # correlation of that noise from step to step
 FLIPPED = 0.1  # least share of the choices turned round, so that dead ends are met; half at first
 LAST_UPDATES = 4  # times as many updates after the last round
 LAST_RATE = 0.3  # of `RATE`, from which the learning rate then falls
-LEAST_RATE = 0.02  # of `RATE`
+LEAST_RATE = 0.02  # [of `RATE`] at which the learning rate stops falling
 VALUE_STEPS = 600  # most updates of the value network
 VALUE_PASSES = 30  # most passes of these updates over the steps whose return is known
 
@@ -69,14 +69,16 @@ class Lessons:
         return np.divmod(picked if among is None else among[picked], wheels)
 
     def returns(self, gamma: float) -> tuple[np.ndarray, np.ndarray]:
-        """(returns discounted by `gamma` [steps, wheels], numbers step x wheels + wheel of those
-        steps whose course has ended since). The other returns lack what is to come.
+        """(returns discounted by `gamma` [steps, wheels], indices [n] of those that are complete).
+
+        An index is step x wheels + wheel, for `drawn`. A return is complete if its course has ended
+        within the steps that are kept; the others lack what is to come.
         """
         steps = len(self.seen)
         out = np.zeros_like(self.reward)
         known = np.zeros(self.done.shape, dtype=bool)
         following = np.zeros_like(out[0])  # return after the step, of each wheel
-        ends = np.zeros_like(self.done[0])  # True once its course has ended
+        ends = np.zeros_like(self.done[0])  # [wheels] True once an end of a course was met
         # From the newest step back.
         for k in (np.arange(self.count, self.count - min(self.count, steps), -1) - 1) % steps:
             ends |= self.done[k]

@@ -35,7 +35,9 @@ SETTINGS_OF_SCENARIOS = {
 
 
 class Manner(NamedTuple):
-    """Settings of the teacher of a rover, found on development courses."""
+    """Settings of the teacher of a rover, found on development courses (`MANNERS`, by the name of
+    the scenario).
+    """
 
     start: float = 0.3  # [of the top rim speed]
     speed: float = 0.8  # [of the top rim speed]
@@ -56,7 +58,8 @@ MANNERS = {
 class Teacher(BestSlipTrue):
     """`best_slip_true` whose ramp goes on from the present rim speed of the student.
 
-    `settings` are those of `SETTINGS`, in their units; others are `teacher_settings`.
+    `settings`: values by the names and in the units of `SETTINGS`; those left out are the
+    `teacher_settings` of the scenario.
     """
 
     def __init__(self, scenario: Scenario, **settings: float):
@@ -70,6 +73,8 @@ class Teacher(BestSlipTrue):
     def state_for(self, batch, state, fresh):
         """The state of `BestSlipTrue`, with the ramp [m/s] at the rim speed that the student
         commands, or at the measured one where the action is a torque; at least 0.
+
+        So the teacher's action is the next one from where the student is.
         """
         state = super().state_for(batch, state, fresh)
         if self.action == "torque":
@@ -111,8 +116,9 @@ class RoverTeacher(RoverController):
 
 
 def teacher_of(part: VecEnv) -> Teacher | RoverTeacher:
-    """The teacher of the wheels or rovers of a vector environment; of wheels with the settings
-    `part.teacher`, if it has some.
+    """The teacher of the wheels or rovers of the vector environment `part`.
+
+    A teacher of wheels has the settings `part.teacher`, if there are some (`CommonVecEnv`).
     """
     if isinstance(part.scenario, RoverScenario):
         return RoverTeacher(part.scenario)
@@ -125,7 +131,9 @@ def teacher_settings(scenario: Scenario) -> dict[str, float]:
 
 
 class Teachers:
-    """A teacher for the wheels or rovers of each scenario of a vector environment."""
+    """Teachers of all wheels or rovers of a vector environment: one for each of its `parts`
+    (`environment.SeveralWorlds`), or one for all.
+    """
 
     def __init__(self, env: VecEnv):
         self.parts = [(part, teacher_of(part)) for part in getattr(env, "parts", [env])]

@@ -25,7 +25,9 @@ from .progress import show
 
 
 def _keys() -> str:
-    """Config keys: those of the run with their meaning, those of PPO with their defaults."""
+    """Text at the end of the help: keys of the config with defaults and meaning, those of PPO with
+    their defaults.
+    """
     lines = ["\b", "Keys of the config with their defaults, in the YAML file or as options:"]
     for f in dataclasses.fields(TrainConfig):
         if f.name not in ("ppo", "changes"):

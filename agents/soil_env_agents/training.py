@@ -30,15 +30,18 @@ from .progress import Bar, show
 MODEL = "model.zip"
 CHECKPOINT = "checkpoint.zip"
 BEGUN = ".{}.begun.yaml"  # copy of a file of the run, as it was when the run began
-_NO_NAME = re.compile(r"[,=:*?\[\]\x00-\x1f]")  # what a list of controllers has a use for
+# Characters that the name of a run may not have: a list of controllers would split it, take it as a
+# pattern or for module:Class; and characters that cannot be printed.
+_NO_NAME = re.compile(r"[,=:*?\[\]\x00-\x1f]")
 _RECENT = 1000  # courses whose mean return and rates are shown
 _STUCK = [cause.name for cause in IMMOBILISED]
 
 
 class _Watch(BaseCallback):
-    """Progress bar, rates of the recent courses on TensorBoard, and checkpoints.
+    """Callback of PPO: progress bar, rates of the recent courses on TensorBoard, and checkpoints.
 
-    A checkpoint is saved every `every` environment steps, before the next rollout.
+    A checkpoint is saved before a rollout, once `every` environment steps have passed since the
+    last one.
     """
 
     def __init__(self, folder: Path, every: int, bar: Bar):
@@ -200,7 +203,7 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
     """Train as a student of the teacher, then by PPO up to `timesteps`; save model.zip.
 
     A checkpoint is saved after the student, every `checkpoint_every` steps, and where an interrupt
-    or a failed write ends PPO. With one the training goes on from there, and there is no student.
+    or a failed write ends PPO. Where there is a checkpoint PPO goes on from it.
     """
     checkpoint = folder / CHECKPOINT
     worlds: World = config.world
@@ -244,6 +247,7 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
                 with _curves_named(folder / "tensorboard"):
                     model.learn(left, callback=calls, reset_num_timesteps=False, tb_log_name="PPO")
             except (KeyboardInterrupt, OSError, SystemExit):  # rich ends so where nobody reads
+                # The rollout under way is lost: its steps were not learnt from.
                 model.num_timesteps = watch.learnt
                 ppo.save(model, checkpoint)
                 raise
@@ -252,8 +256,10 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
 
 @contextmanager
 def _curves_named(folder: Path) -> Iterator[None]:
-    """Inside the block an error of the thread in which TensorBoard writes has the `folder` as its
-    file, and no traceback is printed in that thread.
+    """Inside the block an OSError of the thread in which TensorBoard writes has the `folder` as its
+    file, and its traceback is not printed there.
+
+    TensorBoard raises such an error again in the main thread; other errors stay as they are.
     """
     failed = []
     usual = threading.excepthook
@@ -276,8 +282,10 @@ def _curves_named(folder: Path) -> Iterator[None]:
 
 
 def trained(config: TrainConfig, scenario: Scenario | RoverScenario) -> Path:
-    """The model.zip of the run folder `runs`/`name` of a config, which is begun, resumed, or done
-    already. ParameterError where the folder was begun with another config, or is no run folder.
+    """Train the run folder `runs`/`name` of a config and return its model.zip.
+
+    A run that was interrupted goes on, one that is done is taken as it is. ParameterError where the
+    folder was begun with another config, or is no run folder.
     """
     run = Path(config.runs) / config.name
     if run.is_dir() and not (run / "scenario.yaml").is_file():  # its start was interrupted

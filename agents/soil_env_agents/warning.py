@@ -2,10 +2,10 @@
 
     python -m soil_env_agents.warning --out soil_env/identification/online/immobilisation.json
 
-Drives of several families of drivers over the scenarios are recorded, and a network learns two
-hazards from them: to be immobilised within 3 s, and within 5 s if not before (discrete hazards,
-Gensheimer & Narasimhan 2019, PeerJ 7:e6257). The threshold of the alarm is set on other courses, so
-that it is false for 5 % of the driving time on finished ones.
+Drives of several families of drivers over the scenarios are recorded. A network learns two hazards
+from them: to be immobilised within 3 s, and within 5 s if not before. These are discrete hazards
+(Gensheimer & Narasimhan 2019, PeerJ 7:e6257). The threshold of the alarm is set on other courses,
+so that it is false for 5 % of the driving time on finished ones.
 """
 
 from collections.abc import Sequence
@@ -55,7 +55,8 @@ FAMILIES = (
 DRIVERS = FAMILIES[:5]
 BLOCK = 300  # courses driven side by side
 FALSE = 0.05  # share of the driving time on finished courses under alarm
-# [s] before the last progress of a course cut by the time limit, from where its outcome is unknown
+# [s] of driving before a course that the time limit cut makes no more progress; from there its
+# outcome is not known. The longest of `HORIZONS`.
 UNKNOWN = 5.0
 # Of the network and its training; chosen.
 HIDDEN = (64, 32)  # units
@@ -79,9 +80,10 @@ class Sizes:
 
 
 class Random(Controller):
-    """Rim speeds drawn anew after 0.3 to 5 s on average; with `throttle` torques.
+    """A driver whose rim speed, or with `throttle` torque, is drawn anew at random times.
 
-    `count`: courses driven side by side, each with a mean time of its own.
+    `count`: courses driven side by side. Each course has its own mean time between two draws, 0.3
+    to 5 s.
     """
 
     def __init__(self, scenario: Scenario, rng: np.random.Generator, count: int, throttle: bool):
@@ -103,15 +105,20 @@ class Random(Controller):
         return self.level * self.top_speed
 
     def command(self, batch, rim_speed, state):
-        """Actions [n, 1] float32 that follow the rim speed, with `throttle` the level itself."""
+        """Actions [n, 1] float32 that follow the rim speed.
+
+        With `throttle` the action is `level` itself, as a share of the stall torque.
+        """
         if self.throttle:
             return (rim_speed / self.top_speed).astype(np.float32)[:, None]
         return super().command(batch, rim_speed, state)
 
 
 def make_driver(family: str, scenario: Scenario, seed: Sequence[int], count: int) -> Controller:
-    """A driver of a family on `count` courses, with settings [count] in m/s and m/s2 that `seed`
-    draws for each course; "best_slip" has the same on all, "full_throttle" none.
+    """A driver of a family (`FAMILIES`) on `count` courses side by side.
+
+    Its settings are arrays [count] in m/s and m/s2, drawn for each course by `seed`. "best_slip"
+    has the same settings on all courses, "full_throttle" has none.
     """
     rng = np.random.default_rng([*seed, FAMILIES.index(family)])
     top = Controller(scenario).top_speed
@@ -160,8 +167,8 @@ class Drives:
 
     @property
     def ahead(self) -> np.ndarray:
-        """Seconds of driving until the wheel stops for good, negative after that; +inf on courses
-        on which it is not immobilised.
+        """Seconds of driving until the wheel stops for good [periods, courses], negative after
+        that; +inf on courses on which it is not immobilised.
         """
         # Periods in which the wheel gets on, and the last of each course.
         mobile = self.driving & (np.diff(self.best, axis=0, prepend=0.0) >= self.least)
@@ -170,16 +177,20 @@ class Drives:
 
     @property
     def known(self) -> np.ndarray:
-        """Periods whose outcome is known: not the last of a course that the time limit cut."""
-        # First period from which the wheel makes no progress that counts.
+        """Mask [periods, courses] of the periods under way whose outcome is known.
+
+        Of a course that the time limit cut it is not known from `UNKNOWN` s before its last
+        progress on: the wheel may have been about to stop for good.
+        """
+        # First period within `least_progress` of the furthest point: no more progress that counts.
         near = np.argmax(self.driving & (self.best >= self.best[-1] - self.least_progress), axis=0)
         cut = self.cause == Cause.TIME_LIMIT.value
         return self.alive & ~(cut & (self.since(near) > -UNKNOWN))
 
     def false(self, probability: np.ndarray, threshold: float) -> tuple[float, float]:
-        """(time under alarm, all of it false, and time driven) [s] on finished courses.
+        """(time under alarm, time driven) [s] on finished courses, on which every alarm is false.
 
-        `probability` [periods, courses]: within the longer horizon.
+        `probability` [periods, courses]: within the longer horizon; `threshold` of the alarm.
         """
         passed = self.cause == Cause.FINISHED.value
         alarms = Alarms(len(passed), self.period, threshold)
@@ -223,8 +234,9 @@ def drives(scenario: str, family: str, seed: int, first: int, count: int) -> Dri
 def fit(inputs: np.ndarray, ahead: np.ndarray, epochs: int, seed: int = 0) -> Network:
     """Weights of highest likelihood, with weight decay; each output is the log-odds of one hazard.
 
-    `inputs` [n, inputs] and seconds `ahead` [n]. The first hazard is learnt from all rows, the
-    second from those that are not immobilised within the first horizon.
+    `inputs` [n, inputs] are those of the network, `ahead` [n] the seconds until the wheel stops for
+    good (`Drives.ahead`). The first hazard is learnt from all rows, the second from those that are
+    not immobilised within the first horizon.
     """
     torch.manual_seed(seed)
     mean = inputs.mean(axis=0)
@@ -237,7 +249,8 @@ def fit(inputs: np.ndarray, ahead: np.ndarray, epochs: int, seed: int = 0) -> Ne
     model = torch.nn.Sequential(layers[0], torch.nn.Tanh(), layers[1], torch.nn.Tanh(), layers[2])
     optimizer = torch.optim.AdamW(model.parameters(), lr=RATE, weight_decay=DECAY)
     steps = epochs * -(-len(x) // BATCH)
-    # The rate before the first step counts, too.
+    # One more than there are updates: the schedule steps after each update, and counts the rate
+    # before the first one too.
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, RATE, total_steps=steps + 1)
     loss_of = torch.nn.functional.binary_cross_entropy_with_logits
     for _ in range(epochs):
@@ -259,7 +272,9 @@ def fit(inputs: np.ndarray, ahead: np.ndarray, epochs: int, seed: int = 0) -> Ne
 
 
 def probabilities(network: Network, found: Drives) -> np.ndarray:
-    """Probability within the longer horizon [periods, courses]; 0 where a course has ended."""
+    """Probability of immobilisation within the longer horizon [periods, courses], by the `network`
+    for the `found` drives; 0 where a course has ended.
+    """
     x = found.inputs[found.alive].astype(np.float64)
     x = np.clip((x - network.mean) * network.scale, -LARGEST, LARGEST)
     x = np.tanh(x @ network.first + network.first_bias)
@@ -347,7 +362,7 @@ def command(out: Path, courses: int | None) -> None:
         raise ParameterError(f"--out {out}: expected a file NAME.json")
     make_folder(out.parent)
     check_outputs(out.parent, (out.name,))
-    # Few courses: more of their periods and fewer passes over them.
+    # Few courses, for a trial: learn from more of their periods, in fewer passes.
     sizes = Sizes() if courses is None else Sizes(courses, courses, 0.5, 2)
     write_json(out, train(sizes), indent=None)
     show(f"Written: {out}")

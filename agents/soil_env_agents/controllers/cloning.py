@@ -2,9 +2,11 @@
 
 A clone is a copy of everything that is known of a wheel: its state, the ground under it with its
 ruts, its identifier, its random streams. Stepped alike it gives the same numbers, bit for bit,
-noise of the sensors and places of halts to come included. A planner that is not to foresee those
-gives its clones random streams of their own (`Simulation.seed`); the ground to come is drawn from
-the stream of the course and stays as it is.
+noise of the sensors and places of halts to come included.
+
+A planner that is not to foresee noise and halts gives its clones random streams of their own, as
+`oracle` does in `state["stream"]`. The ground to come stays the same: it is drawn from the stream
+of the course.
 """
 
 from collections.abc import Sequence

@@ -1,11 +1,11 @@
 """Oracle: a planner on clones of the true world, as the limit of the task (model predictive control
 by sampling).
 
-Every half second each wheel is cloned (`cloning`) some dozens of times. Every clone
-drives a plan of its own to a horizon of several seconds, halts and ruts included: back away,
-ramp the rim speed up to a top speed, and later ramp to another speed. The wheel follows the plan
-with the best score: distance, less a penalty for sinkage. Plans are the present one, variations of
-it, soft starts with fixed settings, and random ones.
+Every half second each wheel is cloned (`cloning`) some dozens of times. Every clone drives a plan
+of its own to a horizon of several seconds, halts and ruts included. A plan is: back away, ramp the
+rim speed up to a top speed, and later ramp to another speed. The wheel follows the plan with the
+best score: distance, less penalties for sinkage, waiting and failure. Plans are the present one,
+variations of it, soft starts with fixed settings, and random ones.
 
 The planner knows the true state, the ground ahead and the next halt. It does not know the sensor
 noise and the later halts, because its clones have random streams of their own. It tries few plans

@@ -95,8 +95,8 @@ class VelocitySync(RoverController):
     """The ramp, with each wheel as fast as its axle goes in the motion of the rigid body.
 
     What the traction control of Curiosity does (Toupet et al. 2020, J. Field Robotics 37:699-728),
-    reduced to a rover whose two sides are alike and whose bogie is not measured: at a speed V and a
-    pitch rate q an axle at x ahead of the centre goes sqrt(V^2 + (q x)^2), and the fastest keeps
+    reduced to a rover whose two sides are alike and whose bogie is not measured. At a speed V and a
+    pitch rate q an axle at x ahead of the centre goes sqrt(V^2 + (q x)^2). The fastest axle keeps
     the commanded speed. On even slopes all go alike.
     """
 

@@ -210,8 +210,10 @@ def _file_of(path: Path) -> Path:
 
 
 def _default_name(kind: str, source: str) -> str:
-    """Name of an entry without NAME=: that of the controller or shipped policy, the stem of a
-    model's file, or the folder of a file that a training or export named.
+    """Name of an entry without NAME=: of a controller or the shipped policy its own, of a model the
+    stem of its file.
+
+    A file that a training or export named (model.zip, policy.onnx) has the name of its folder.
     """
     if kind != "model":
         return SHIPPED[0] if source == SHIPPED_CLASS else source

@@ -53,10 +53,11 @@ def imported(spec: str) -> Any:
 
 
 def code_digest(source: str) -> str:
-    """SHA-256 of the file of the module of `module:Thing`, and of what it imports from the folder
-    that the module was found in, directly or not; empty if the module cannot be found.
+    """SHA-256, in hexadecimal digits, of the code of a `source` `module:Thing`; empty if the module
+    cannot be found.
 
-    Of an installed module it is that of its file alone.
+    The code is the file of the module, and what it imports, directly or not, from the folder that
+    it was found in. Of an installed module it is its file alone.
     """
     _search_here()
     name = source.partition(":")[0]
