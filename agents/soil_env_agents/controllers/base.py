@@ -103,6 +103,7 @@ class Controller(Observing):
         raise NotImplementedError
 
     def _answer(self, batch, state, fresh, deterministic):
+        """Actions of `act`, and the state that it advanced; `deterministic` is without effect."""
         batch = batch.astype(np.float64)
         state = self.state_for(batch, state, fresh)
         return self.act(batch, state), state

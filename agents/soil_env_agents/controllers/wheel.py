@@ -227,6 +227,7 @@ class BestSlipIdentified(SlipFollower):
         """
 
         def read(name: str):
+            """Values of an entry of the observations, [n]."""
             return observation[:, self.column[name]]
 
         belief = self.scenario.belief
