@@ -90,7 +90,7 @@ def comparison(
         of_draws = st.improvement_samples(x, y, members[a], members[b], drawn.courses)
         return st.bounds(st.probability_of_improvement(x, y), of_draws)
 
-    others = {a: [b for b in runs if b != a] for a in runs}
+    others = {a: [b for b in runs if b != a] for a in runs}  # whom each is compared with
     return {
         "scenario": scenario.name,
         "courses": int(courses),

@@ -104,7 +104,8 @@ def _check_wheel(path: Path, scenario: Scenario) -> None:
 def _exported(path: Path, scenario: Scenario) -> ExportedAgent:
     """The agent of a policy.onnx; ParameterError where it does not fit the scenario.
 
-    One that reads constants of another wheel (`CommonScaling.added`) gets a warning.
+    An exported default policy has the constants of its wheel inside (`CommonScaling.added`): where
+    those of the scenario differ there is a warning.
     """
     _check_wheel(path, scenario)
     try:
