@@ -60,6 +60,7 @@ class Graph:
         others. `op` and `attributes` are those of ONNX, `dtype` and `name` those of the output, by
         default the type of the inputs and a new name.
         """
+        # Not that of the condition of a `Where`, which is bool.
         known = next(
             (x.dtype for x in inputs if isinstance(x, Traced) and x.dtype != bool),
             np.dtype(np.float64),
