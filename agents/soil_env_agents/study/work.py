@@ -150,7 +150,9 @@ class Work:
         name = self.study.arms[cell.arm].controller
         log = folder / "tuned" / f"{cell}.log"
         log.parent.mkdir(parents=True, exist_ok=True)
-        anew = bool(self.study.worlds)  # as many trials in every world
+        # With worlds nothing is taken from the package, which has settings for a world without
+        # effects alone: so all are tuned by as many trials on as many courses.
+        anew = bool(self.study.worlds)
         chosen = tuned_settings(scenario, self.study.tuning_courses, (name,), model, log, anew)
         return chosen.get(name, {})
 
