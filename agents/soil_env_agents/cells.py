@@ -325,7 +325,7 @@ def processes(work: Callable, cells: Iterable, *, workers: int) -> Generator[tup
     left = deque(cells)
     deaths: Counter[Hashable] = Counter()  # of processes, by the cell that they were at
     while left:
-        others = multiprocessing.active_children()
+        others = multiprocessing.active_children()  # of this process, but not of the pool
         running: dict[Future, Hashable] = {}
         pool = ProcessPoolExecutor(
             min(workers, len(left)), multiprocessing.get_context("spawn"), _begin, (work,)

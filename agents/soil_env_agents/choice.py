@@ -115,6 +115,7 @@ class Chooser(BaseCallback):
         )
 
     def _on_step(self) -> bool:
+        """True, so that the training goes on; SB3 asks every callback."""
         return True
 
     def _on_rollout_start(self) -> None:

@@ -104,7 +104,10 @@ class ExportedAgent(inputs.Observing):
         return inputs.Layout(own, self.variant)
 
     def _answer(self, batch, state, fresh, deterministic):
-        truth(deterministic, "deterministic")  # checked only: an exported agent has no other
+        """Actions of the ONNX file, and the history that it returns, or `state` as it is where the
+        file has none.
+        """
+        truth(deterministic, "deterministic")  # only checked: the file has the mean action alone
         if not self.policy.kept:
             return self.policy.act(batch)[0], state
         kept = inputs.memory(state, (len(batch), self.policy.kept))

@@ -126,6 +126,7 @@ class History:
         Readings and their averages have the bounds of `box`, weights 0 to 1, misfits -1 to 1.
         """
         bounds = []
+        # Each side of the readings' bounds, and of those of a weight.
         for side, share in ((box.low, 0.0), (box.high, 1.0)):
             own = side[self.columns]
             history = [*np.tile(own, self.steps), *np.tile(np.append(own, share), len(self.routes))]
@@ -153,6 +154,9 @@ class Remembering(Observing):
         return np.clip((seen - self.mean) / self.sd, -self.clip, self.clip).astype(np.float32)
 
     def _answer(self, batch, state, fresh, deterministic):
+        """Actions of `act`, and the readings kept for the next step (`History.observe`); without a
+        history `state` as it is.
+        """
         batch = self.scaling(batch)
         if self.history is not None:
             kept = memory(state, (len(batch), self.history.kept))

@@ -104,8 +104,8 @@ class Observing:
         return (action[0] if seen.ndim == 1 else action), state
 
     def _answer(self, batch: np.ndarray, state, fresh: np.ndarray, deterministic: bool):
-        """`predict` for checked observations [n, D] float32; `fresh` [n] bool: courses that
-        begin.
+        """(actions [n, A] in [-1, 1], state for the next call): `predict` for checked observations
+        [n, D] float32; `fresh` [n] bool: courses that begin.
         """
         raise NotImplementedError
 

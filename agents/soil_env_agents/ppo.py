@@ -90,6 +90,7 @@ class Schedules(BaseCallback):
         self.penalty = penalty
 
     def _on_step(self) -> bool:
+        """True, so that the training goes on; SB3 asks every callback."""
         return True
 
     def _on_rollout_start(self) -> None:

@@ -185,4 +185,5 @@ class SoilRoverVecEnv(CourseVecEnv):
     simulation: RoverSimulation
 
     def _true_soil(self):
+        """The observation `true_soil` of the rovers, which the simulation makes."""
         return self.simulation.true_soil()

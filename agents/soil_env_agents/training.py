@@ -54,6 +54,7 @@ class _Watch(BaseCallback):
         self.ended: deque[tuple[str, float]] = deque(maxlen=_RECENT)  # (cause, return)
 
     def _on_training_start(self) -> None:
+        """Set the steps at which the first checkpoint is due; a resumed run has some behind it."""
         self.next_save = self.num_timesteps + self.every
 
     def _on_step(self) -> bool:

@@ -92,6 +92,7 @@ def command(
         for action in chosen_actions:
             task = load_scenario(scenario, {"control": {"action": action}})
             log = out / f"trials-{action}.log"
+            # `anew`: else the settings that come with the package would be taken for its scenarios.
             chosen = tuned_settings(task, courses, names, world, log, anew=True)
             settings[action] = {
                 n: {key: float(f"{v:.4g}") for key, v in own.items()} for n, own in chosen.items()

@@ -346,6 +346,7 @@ def train(sizes: Sizes) -> dict[str, Any]:
         "alarm": "probability within 5 s at which the alarm is false for 5 % of the driving time "
         "on finished courses",
     }
+    # Seven digits, about as many as the float32 of torch has.
     rounded = np.vectorize(lambda x: float(f"{x:.7g}"))
     arrays = {name: rounded(array) for name, array in network._asdict().items()}
     return {"card": card, "alarm": alarm, "inputs": list(INPUTS), **arrays}
