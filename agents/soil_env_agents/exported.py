@@ -107,7 +107,7 @@ class ExportedAgent(inputs.Observing):
         """Actions of the ONNX file, and the history that it returns, or `state` as it is where the
         file has none.
         """
-        truth(deterministic, "deterministic")  # only checked: the file has the mean action alone
+        truth(deterministic, "deterministic")  # only checked: the file has no random action
         if not self.policy.kept:
             return self.policy.act(batch)[0], state
         kept = inputs.memory(state, (len(batch), self.policy.kept))

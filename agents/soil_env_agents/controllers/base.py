@@ -128,8 +128,8 @@ class Controller(Observing):
     def chosen(self, batch: np.ndarray, action: np.ndarray, other: np.ndarray) -> np.ndarray:
         """The `action` [n, 1], but at the halts before a fork one whose sign chooses the route.
 
-        At such a halt it is -`_CHOICE`, the route beside, where `other` [n] is True. Elsewhere at
-        such halts it is `action` or `_CHOICE`, whichever is larger: the route ahead.
+        At these halts it is -`_CHOICE`, for the route beside, where `other` [n] is True. Where
+        `other` is False it is the larger of `action` and `_CHOICE`, for the route ahead.
         """
         if "choice" not in self.column:
             return action

@@ -30,7 +30,8 @@ from soil_env.simulation.task import layout
 from ..controllers import CONTROLLERS, make_controller
 from ..inputs import Layout, Observing
 
-_SLOWEST = 0.02  # [of top rim speed] least speed of the body beside its pitching; own choice
+# [of top rim speed] `VelocitySync` takes the body to be at least as fast: no division by 0 at rest.
+_SLOWEST = 0.02
 _RATE_SHARE = 0.3  # of the newest reading in the mean of the pitch rate
 _TIME = 0.5  # [s] in which torque_by_load makes up for a lack of speed
 _LEAST_LOAD = 0.01  # [of its weight] load of a wheel that is lifted; own choice
