@@ -36,6 +36,7 @@ SOURCES = (
     "terramechanics",
     "simulation",
     "identification/online",
+    "identification/status.py",
     "envs",
     "slip.py",
 )

@@ -615,6 +615,9 @@ def test_a_class_drives_as_it_says(monkeypatch):
     assert thing.attached
     np.testing.assert_array_equal(named.energy, run_courses(thing, task, SEED, 3).energy)
     refused(lambda: run_courses(thing, task, SEED, 0), "courses = 0: expected at least one")
+    thing.settings = {"mode": "gentle"}
+    refused(lambda: load_contestant(asked, task), "settings = ", "expected a mapping of names to")
+    del thing.settings
     for wrong in ({"acton": "torque"}, {"time_limit": 20.0}, "torque", {"repeat": 0}):
         thing.drives = wrong
         refused(

@@ -4,6 +4,7 @@ line.
 
 import tempfile
 from collections.abc import Callable
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -80,6 +81,11 @@ def _from_class(spec: str, name: str, scenario: Scenario, settings: dict):
             f"controllers: {spec}: variant = {variant!r}: expected one of {', '.join(VARIANTS)}"
         )
     as_driven(thing, scenario, spec)  # refuses what it cannot drive
+    made_with = getattr(thing, "settings", settings)
+    if not (isinstance(made_with, dict) and all(isinstance(x, Real) for x in made_with.values())):
+        raise ParameterError(
+            f"controllers: {spec}: settings = {made_with!r:.60}: expected a mapping of names to numbers"
+        )
     return _Wrapped(thing, variant, spec, getattr(scenario, "axles", 1), settings)
 
 

@@ -161,7 +161,10 @@ def as_driven(thing: Any, scenario: Any, who: str) -> Any:
         raise ParameterError(
             f"controllers: {who}: drives = {drives!r:.60}: expected a mapping of action, repeat"
         )
-    control = replace(scenario.control, **drives)
+    try:
+        control = replace(scenario.control, **drives)
+    except ParameterError as error:
+        raise ParameterError(f"controllers: {who}: drives: {error}") from None
     return replace(scenario, control=control) if drives else scenario
 
 
