@@ -24,13 +24,15 @@ _ROUNDING = 1e-9  # [of `max_gap`] by which a gap may be longer: sums of periods
 
 @dataclass
 class Channel:
-    """Readings of one channel as they come, and their count."""
+    """Readings of one channel at their own times, before they are put on the common axis, and what
+    became of them.
+    """
 
     place: str  # topic and field, or column
-    readings: int = 0
+    readings: int = 0  # at time stamps that count, with the empty and the unusable ones
     #: Infinite or NaN: a range finder without an echo (REP 117), a sensor that is off.
     empty: int = 0
-    unusable: int = 0  # out of any range
+    unusable: int = 0  # larger than any reading of this wheel can be (`largest_readings`)
     per_second: float = math.nan  # readings, over their own duration; NaN of fewer than two
     interpolated: float = 0.0  # share of the steps
     missing: float = 0.0  # share of the steps

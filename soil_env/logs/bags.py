@@ -46,7 +46,7 @@ _MOST_NAMED = 24  # paths that an error names
 
 
 class Message(NamedTuple):
-    """A message."""
+    """A message of a bag, still in its bytes."""
 
     topic: str
     time: int  # [ns] of its recording
@@ -192,7 +192,8 @@ class _Decoder:
 def _unpacked(data: bytes) -> bytes:
     """The bytes of a message, unpacked if zstd compressed them; CDR itself begins with a zero.
 
-    ValueError for a message that unpacks to more than `_MOST_MESSAGE`.
+    ValueError for a message that unpacks to more than `_MOST_MESSAGE` by its header, and for one
+    whose header does not state the size.
     """
     if data[:4] != _ZSTD:
         return data
@@ -483,8 +484,10 @@ def _item(message: Any, values: Any, step: str) -> Any:
 
 
 def uphill(x: float, y: float, z: float, w: float) -> float:
-    """Pitch [rad] of a body with axes x forward and z up (REP 103), uphill positive; NaN for no
-    orientation. x, y, z, w are a quaternion of any length.
+    """Pitch [rad] of a body with axes x forward and z up (REP 103), uphill positive.
+
+    x, y, z, w are a quaternion of any length; NaN for one of nearly zero length (`_LEAST_NORM`),
+    which nobody has set.
     """
     norm = x * x + y * y + z * z + w * w
     if norm < _LEAST_NORM:

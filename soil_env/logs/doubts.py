@@ -89,9 +89,10 @@ class _Doubts:
         self.log = log
         self.map = log_map
         self.lines: list[str] = []
-        self.rim = log.readings["wheel_speed"] * log_map.wheel.radius
-        self.speed = log.get("speed")
-        self.slowest = _STANDS * log_map.wheel.radius
+        self.rim = log.readings["wheel_speed"] * log_map.wheel.radius  # [N] m/s
+        self.speed = log.get("speed")  # [N] m/s
+        self.slowest = _STANDS * log_map.wheel.radius  # [m/s] below which rim or body stands
+        # [N] True for the steps that drive.
         self.drives = (np.abs(self.rim) > self.slowest) | (np.abs(self.speed) > self.slowest)
         sound_speeds = self._speeds()
         sound_sizes = self._sizes()
@@ -281,6 +282,6 @@ class _Doubts:
 
 
 def _median(values: np.ndarray) -> float:
-    """Median without NaN; 0 of nothing, which nothing is doubted by."""
+    """Median of the known `values` [N]; 0, which raises no doubt, where all are NaN."""
     known = values[~np.isnan(values)]
     return float(np.median(known)) if known.size else 0.0

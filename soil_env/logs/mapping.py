@@ -149,7 +149,7 @@ class LogMap(Checked):
         "wheel radii", 0.05, 50.0, default=2.0, doc="distance in which sinkage adapts"
     )
     belief: Belief = Belief()  # noqa: RUF009 (frozen)
-    #: What is known of it, for setup.yaml.
+    #: Known values and priors by parameter, as the section `soil` of a setup.yaml has them.
     soil: dict[str, Any] = dataclasses.field(default_factory=dict)
     #: Text of the .msg file of message types that the recording does not define, by type.
     messages: dict[str, str] = dataclasses.field(default_factory=dict)

@@ -38,8 +38,8 @@ _LEARNT = 0.8  # sd over prior sd, below which something was learnt
 _LEAST_LOAD = 1e-9  # [N] for which a margin is computed: that of a lifted wheel reads 0 or less
 _CONTRADICTS = 0.1  # share of the steps with status MISFIT, beyond which the report says so
 _MOSTLY = 0.5  # the same, beyond which it says so first
-#: [border lengths] before the place where the identifier found a border. The border may have begun
-#: there, so estimates in it are not those of the ground before.
+#: [border lengths] of the stretch before the place where the identifier found a border. The border
+#: may have begun in it, so its estimates do not count for the ground before.
 _LEFT = 1.2
 _LEAST_PART = 2.0  # [border lengths] of a part of the drive that is compared with that before
 #: Parameters by which two grounds are compared.
@@ -47,12 +47,14 @@ _COMPARED = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient", "cohe
 _SEEN = 0.8  # prior probability that there is another soil behind a border that the identifier saw
 _DOUBTED = 0.1  # [prior sd] by which every estimate may be off beside its own sd
 _LEAST_VARIANCE = 1e-9  # [of the prior's] that is divided by
-#: (least, greatest) value of these; without the gain of slip-sinkage, of which little may be known.
+#: (least, greatest) value that a soil has of each of `_COMPARED`. The gain of slip-sinkage is not
+#: checked: little may be known of it.
 _BOUNDS = {
     f.name: (f.metadata["low"], f.metadata["high"]) for f in fields(Soil) if f.name in _COMPARED
 }
-#: Error of an estimate that was picked by its least sds, over these. Own measurement: root mean
-#: squares of 1.4 to 1.8 on drives in one soil of `mixed`, `loose_slopes` and `sticky`.
+#: Factor on the sds of an estimate that was picked because they are the least, which are too small
+#: therefore. Own measurement: errors over these sds have root mean squares of 1.4 to 1.8 on drives
+#: in one soil of `mixed`, `loose_slopes` and `sticky`.
 PICKED = 1.6
 _NO_MARGIN = (math.nan,) * 3  # drawbar margin, its sd and the torque required, where not known
 
@@ -62,7 +64,8 @@ class Replay:
     """Estimates over the steps of a log."""
 
     time: np.ndarray  # [N] s
-    #: [N] each, by `COLUMNS`; the last three NaN before the first, all where refused.
+    #: [N] each, by `COLUMNS`. The last three, of `traversability`, are NaN from the start or a gap
+    #: to the first renewed estimate; all are NaN where an estimate is refused (`_refuse`).
     values: dict[str, np.ndarray]
     status: np.ndarray  # [N] `Status`
     renewed: np.ndarray  # [N] bool: changed in this step
@@ -71,8 +74,9 @@ class Replay:
     #: Probability, by ground, that its soil is not that of the last; NaN of the first after a gap.
     differs: list[float]
     borders: int  # that the identifier found, whatever lies behind them
-    prior: Estimate
-    on_border: np.ndarray  # [N] bool: the ground is a blend of two soils, better known than either
+    prior: Estimate  # of the identifier before any reading
+    #: [N] bool: the estimate is a blend of those of two soils, with sds that may be below either's.
+    on_border: np.ndarray
     measured: frozenset[str]  # readings that the identifier received
     restarts: int  # because of gaps
     warnings: list[str]
@@ -92,9 +96,10 @@ class Replay:
     def surest_on(self, ground: int) -> dict[str, float] | None:
         """The surest estimate on a ground, by `COLUMNS`; None where none was current.
 
-        It is that with the least product of the sds over those of the prior among those off borders
-        with status CONVERGED, with all its sds times `PICKED`. The last one errs more: after a
-        border that `_grounds` does not count the identifier began anew.
+        Current are estimates with status CONVERGED that are not `on_border`. The surest has the
+        least product of its sds, each over that of the prior. All its sds are multiplied by
+        `PICKED`. The last estimate on the ground errs more: the identifier began anew after borders
+        that `_grounds` does not count.
         """
         converged = (self.status == Status.CONVERGED) & ~self.on_border
         current = np.flatnonzero(converged & (self.ground == ground))
@@ -128,10 +133,11 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     After a gap of more than `restart_gap` it starts from the prior again. A motor torque without
     the inertia of the wheel is left out. The drawbar margin and the torque required are those of
     `OnlineIdentifier.traversability` at the load and pitch of the step that renewed the estimate,
-    and held until the next. A missing load is left out there, a missing pitch is 0.
+    and held until the next. A missing load is the weight's part normal to the ground there, a
+    missing pitch is 0.
 
-    An estimate out of the bounds of `Soil` is refused: NaN, with status MISFIT. Of readings whose
-    slip and one speed give no speed of a wheel only the time is taken.
+    An estimate out of the bounds of `Soil` is refused: NaN, with status MISFIT. Where one speed is
+    missing and the slip gives one that no wheel reaches, only the time of the step is taken.
     """
     identifier = OnlineIdentifier(
         log_map.wheel,
@@ -215,8 +221,9 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
 def _refuse(time: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray) -> list[str]:
     """Refuse estimates that are not finite or out of the bounds of a soil (`_BOUNDS`).
 
-    All `values` [N] of such a step become NaN and its `status` [N] MISFIT, both in place. Returns a
-    warning, which names one value out of bounds; none where nothing is refused.
+    All `values` [N] of a refused step become NaN and its `status` [N] MISFIT, both in place.
+    Returns a list of one warning, which names the first value out of bounds if there is one; an
+    empty list where nothing is refused.
     """
     bad = ~np.all([np.isfinite(values[n]) for n in ESTIMATED], axis=0)
     said = ""
@@ -313,12 +320,12 @@ def _last_known(
 
 
 def _probability_of_two(one: np.ndarray, other: np.ndarray) -> float:
-    """Probability that the soils of two estimates (`_last_known`) differ; `_SEEN` before them.
+    """Probability, `_SEEN` a priori, that the soils of two estimates (`_last_known`) differ.
 
-    Soils have variance 1 about the prior. An estimate with the variance v of its error has 1 - v,
-    since it is drawn towards the prior. The difference of two estimates (v, w) of one soil has the
-    variance v + w - 2 v w, that of two independent soils 2 - v - w. Each estimate adds `_DOUBTED`^2
-    to both.
+    Soils have variance 1 about the prior. An estimate whose error has the variance v has itself the
+    variance 1 - v about the prior, since it is drawn towards it. The difference of two estimates
+    (v, w) of one soil has the variance v + w - 2 v w, that of two independent soils 2 - v - w. Each
+    estimate adds `_DOUBTED`^2 to both variances.
     """
     away = one[0] - other[0]
     doubt = 2.0 * _DOUBTED**2
@@ -364,7 +371,8 @@ _MISFIT = (
 def findings(found: Replay, log: Aligned, log_map: LogMap) -> list[str]:
     """Sentences on what can be identified from the channels of this log, and what was.
 
-    A parameter counts as identified if a current estimate has an sd below `_LEARNT` of the prior's.
+    A parameter counts as identified if an estimate with status CONVERGED has an sd below `_LEARNT`
+    of the prior's (`Replay.learnt`).
     """
     measured = found.measured
     lines = []
@@ -402,8 +410,10 @@ def findings(found: Replay, log: Aligned, log_map: LogMap) -> list[str]:
 
 
 def contradiction(found: Replay) -> tuple[list[str], list[str]]:
-    """(doubts, further findings): a sentence on the share of the steps in which the readings
-    contradict the model, a doubt if it is most of them; none where it is little.
+    """(doubts, further findings) on the share of the steps in which readings contradict the model.
+
+    One sentence at most: a doubt where the share is above `_MOSTLY`, a finding where it is above
+    `_CONTRADICTS`. Both lists are empty below.
     """
     misfit = np.mean(found.status == Status.MISFIT)
     said = [_MISFIT.format(100.0 * misfit)] if misfit > _CONTRADICTS else []

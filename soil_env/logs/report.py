@@ -45,7 +45,7 @@ def report_of(
     steady: Steady,
     folder: Path = Path(),  # noqa: B008
 ) -> tuple[dict[str, bytes | str], str]:
-    """(Contents of the files of a replayed log by name, text for the terminal).
+    """Report of a replayed log: (contents of its files by name, text for the terminal).
 
     `log` has the readings, `found` the estimates at its steps, `steady` the points of its steady
     windows. The files are `ALWAYS` and the tables and setups of steady points. Nothing is written;

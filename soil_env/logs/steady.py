@@ -209,11 +209,13 @@ def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bo
 
 
 def _change(values: np.ndarray) -> float:
-    """Size of the difference between the means of the two halves of `values` [n], without NaN, or
-    between the middle half and the rest, if larger: a rise and a fall. 0 if a half is not measured.
+    """Larger of two changes of the mean of `values` [n], NaN left out: from the first half to the
+    second, and between the middle half and the rest.
+
+    The latter is that of a rise and a fall. A change counts as 0 if one of its halves is all NaN.
     """
     change = 0.0
-    for shift in (0, values.size // 4):
+    for shift in (0, values.size // 4):  # rolled by a quarter: the middle half is the second one
         first, second = np.split(np.roll(values, shift), [values.size // 2])
         if not (np.isnan(first).all() or np.isnan(second).all()):
             change = max(change, abs(np.nanmean(second) - np.nanmean(first)))
@@ -224,6 +226,7 @@ def _scatter(values: np.ndarray) -> float:
     """Standard deviation of `values` [n] about a straight line in time; NaN if one is missing."""
     if np.isnan(values).any():
         return math.nan
+    # Two degrees of freedom are those of the line.
     return float(np.std(detrend(values), ddof=2))
 
 
@@ -303,7 +306,7 @@ def files(
 
 
 def _driven(grounds: list[Ground]) -> int:
-    """Number of grounds with steady points."""
+    """Number of `grounds` that have a steady point or more."""
     return sum(bool(ground.points.rows) for ground in grounds)
 
 
