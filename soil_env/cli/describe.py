@@ -71,9 +71,9 @@ def keys_of(
     it.
 
     `without`: keys that are left out; `said`: words in place of the default of a key; `above`: path
-    of keys before a name, with its dot. A `Prior` has no lines of its own: its key shows unit and
-    range of the number of that name in `Soil`, and that it may have a standard deviation, if it
-    may. Only `tilt_deg` of a setup is none of those, and is in degrees.
+    of keys before a name, with its dot. A `Prior` has no lines of its own. Its key shows unit and
+    range of the number of that name in `Soil`, and whether it may have a standard deviation. Only
+    `tilt_deg` of a setup is no number of `Soil`, and is in degrees.
     """
     hints = typing.get_type_hints(cls)
     within: list[tuple[str, type]] = []

@@ -84,7 +84,10 @@ def run(
 
 
 def _called(command: object, arguments: Sequence[str], name: str) -> str:
-    """Name of the program, with that of its subcommand if the first argument is one."""
+    """Name of the program for messages, with that of its subcommand if the first argument is one.
+
+    `command` as of `run`: a function that imports the command counts as one without subcommands.
+    """
     known = (
         command.list_commands(click.Context(command)) if isinstance(command, click.Group) else ()
     )
@@ -244,13 +247,16 @@ PATH = FilePath()
 
 
 def out_option(files: str, required: bool = False) -> Callable[[Callable], Callable]:
-    """Option --out DIR of a command that writes `files` there."""
+    """Decorator: add the option --out DIR to a command that writes `files` there.
+
+    `files` are named in the help. Where --out is not `required` the command gets None without it.
+    """
     text = f"Folder for {files}; made if missing." + ("" if required else " Default: print only.")
     return click.option("--out", type=PATH, metavar="DIR", required=required, help=text)
 
 
 def seed_option(of: str = "everything random") -> Callable[[Callable], Callable]:
-    """Option --seed N, 0 if left out; `of`: what is drawn by it, for the help."""
+    """Decorator: add the option --seed N, 0 if left out; `of`: what it draws, for the help."""
     return click.option(
         "--seed", type=WholeNumber(), default=0, metavar="N", help=f"Seed of {of} (default 0)."
     )

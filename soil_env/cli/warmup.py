@@ -59,7 +59,7 @@ def _begin() -> None:
     gc.disable()
 
 
-#: An environment in which nothing is identified.
+#: Options of an environment in which nothing is identified.
 BLIND: dict[str, Any] = {"observation": "blind", "belief": {"method": "none"}}
 
 
@@ -86,7 +86,10 @@ def _drive_wheels(**options: Any) -> None:
 
 
 def _with_effects() -> WheelSoilModel:
-    """A model with an effect, of which the compiled functions have versions of their own."""
+    """A model with an effect, for which compiled functions have versions of their own.
+
+    Any wheel, soil and effect would do.
+    """
     return WheelSoilModel(
         ModelWheel(0.15, 0.15), soils()["lete_sand"], {"bulldozing": {"rankine": 1.0}}
     )
@@ -113,7 +116,10 @@ def _identifier() -> None:
 
 
 def _predictions() -> None:
-    """Compile what predicts, and what reads tables and logs."""
+    """Compile what predicts, and what reads tables and logs.
+
+    The predictors are the base model, one with an effect, and one with a residual law beside it.
+    """
     # Here so that importing this file does not load scipy.
     from soil_env.discovery.corrected import groups_at
 
