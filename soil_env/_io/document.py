@@ -81,8 +81,10 @@ class Table:
 
 
 def _broken(line: Sequence[str], column: int, width: int) -> Iterator[tuple[str, ...]]:
-    """The `line` of a table, whose cell in a `column` takes so many lines that none is longer than
-    `width`; the other cells are in the first of them.
+    """Yield the lines [cells] that a `line` of a table becomes when its cell in `column` is wrapped
+    to `width` characters.
+
+    The other cells stand in the first of these lines, and are empty in the others.
     """
     cells = [[cell] for cell in line]
     cells[column] = textwrap.wrap(line[column], width) or [""]

@@ -98,10 +98,10 @@ def _in_the_way(path: Path, said: str) -> FileExistsError:
 
 
 def write_own(folder: Path, contents: Mapping[str, bytes | str]) -> None:
-    """Write files as `replace_files`, and their digests into `MANIFEST`.
+    """Write files as `replace_files` does, and their digests into `MANIFEST`.
 
-    Replaces only files that a command wrote and nobody changed since; FileExistsError as
-    `check_own` for others.
+    Replaces only files that a command wrote and nobody changed since; FileExistsError for others,
+    by `check_own`.
     """
     check_own(folder, contents)
     known = _manifest(folder)
@@ -142,9 +142,10 @@ def _digest(content: bytes) -> str:
 
 @contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Make a folder and hold its lock. Raises FileExistsError while another process holds it.
+    """Make a folder and hold its lock in the block, so that no two commands work in it at once.
 
-    On a disk without locks it goes on without one.
+    Raises FileExistsError while another process holds it. On a disk without locks the block runs
+    without one.
     """
     make_folder(folder)
     lock = FileLock(folder / LOCK)
@@ -192,7 +193,9 @@ def plain(value):
 
 
 def is_unused(folder: Path) -> bool:
-    """True if the folder is missing or holds only a partial write or a lock."""
+    """True if the folder is missing, or holds only what a killed command leaves: its lock and
+    partly written files.
+    """
     return not folder.is_dir() or all(
         p.name == LOCK or (p.name.startswith(".") and p.suffix == ".partial")
         for p in folder.iterdir()

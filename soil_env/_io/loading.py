@@ -54,7 +54,10 @@ class FieldError(ParameterError):
         super().__init__(f"{type(owner).__name__}.{name}{problem}")
 
     def __reduce__(self) -> tuple[typing.Any, ...]:
-        """Copies and pickles have the message, without the dataclass."""
+        """State for copies and pickles: message, `name` and `problem`, without the dataclass.
+
+        It is made anew without `__init__`, which would need the dataclass.
+        """
         return FieldError.__new__, (FieldError, str(self)), vars(self)
 
 
@@ -76,7 +79,7 @@ def quantity(
 
 
 def _of_python(value: typing.Any) -> typing.Any:
-    """`value` as Python's own number if it is a real number of numpy, else as it is."""
+    """`value` as Python's own number if it is a real number of numpy, else `value` itself."""
     return value.item() if isinstance(value, numbers.Real) and hasattr(value, "item") else value
 
 
@@ -95,7 +98,7 @@ def _bound(x: float) -> str:
     return str(x) if isinstance(x, int) and float(short) != x else short
 
 
-_hints = functools.cache(typing.get_type_hints)  # {field: type} of a class
+_hints = functools.cache(typing.get_type_hints)  # {field: type} of a class, found once
 
 
 class Checked:
@@ -329,10 +332,10 @@ def truth(value: object, where: str) -> bool:
 
 
 def number(kind: type, value, where: str):
-    """`value` as float or int (`kind`), also if it is text of a number or of numpy.
+    """`value` as float or int (`kind`), also from the text of a number and from one of numpy.
 
-    `ParameterError`, with the place `where`, for anything else, true and false among it. Infinite
-    and NaN are floats here; ranges refuse them.
+    `ParameterError`, with the place `where`, for anything else, and for True and False. Infinities
+    and NaN pass as floats: the ranges of `quantity` refuse them.
     """
     if isinstance(value, str):  # YAML 1.1 reads 1e6 as text
         try:
@@ -405,7 +408,7 @@ class _Strict(yaml.SafeLoader):
     memory holds.
     """
 
-    values = 0  # counted so far
+    values = 0  # counted so far in this file
 
     def get_single_node(self):
         """The root of the file, None of an empty one; all below it is checked before a value is
