@@ -33,8 +33,10 @@ from .model import (
 SAND = P.table2
 POINT = P.working_point
 
+#: The two readings of the paper: equations as printed, and with Wong & Reece's stress peak.
 MODELS = (AS_PRINTED, WONG_REECE)
-EXACT = tuple(e._replace(simpson=0) for e in MODELS)
+EXACT = tuple(e._replace(simpson=0) for e in MODELS)  # by Gauss-Legendre nodes
+#: With the c of 3000 Pa that is held in Table 3 and what follows from it.
 FIXED_COHESION = tuple(e._replace(cohesion=P.fixed_cohesion) for e in MODELS)
 NAMES = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient")
 LABELS = {
@@ -128,6 +130,7 @@ def alone(e: Equations, name: str, target: float) -> float:
 def working_point() -> list[Row]:
     """Rows of Sections 3.1 and 4: the drawbar pull, and what the text says of cohesion."""
     at_1150 = [alone(e, "cohesion", POINT.if_measured_drawbar_pull) for e in MODELS]
+    # Not printed: the DP [N] that the printed cohesion, 4322.74 Pa, belongs to.
     at_1200 = [alone(e, "cohesion", 1200.0) for e in MODELS]
     no_cohesion = [pull(e, cohesion=0.0) for e in MODELS]
     # [%] of the mean DP, by the cohesion held in Table 3 in place of that of Table 2.
@@ -239,7 +242,7 @@ def table_3() -> list[Row]:
 
 
 def reaches(e: Equations, guesses: np.ndarray, backtracking: bool) -> np.ndarray:
-    """[G] True if Newton-Raphson from `guesses` [G, 3] ends on the `root`.
+    """[G] True if Newton-Raphson from `guesses` [G, 3], (phi [deg], K [m], S), ends on the `root`.
 
     A phi that is off by a multiple of 180 deg counts as equal (`_turned`).
     """
@@ -265,7 +268,7 @@ def table_4(backtracking: bool) -> list[Row]:
     one side gives its end, marked in `Row.beyond`.
     """
     rows = []
-    scans = (  # guesses of phi [deg], K [m] and S
+    scans = (  # guesses of phi [deg], K [m] and S, beyond the printed limits
         np.linspace(0.5, 89.5, 891),
         np.linspace(1e-4, 0.2, 1000),
         np.geomspace(1e3, 1e14, 441),
@@ -346,7 +349,9 @@ def table_5(e: Equations, seed: int, draws: int) -> Noisy:
 
 
 def sets(k: int) -> dict[str, tuple[np.ndarray, Equations]]:
-    """{name: ((phi, K, S), equations)} of the parameter sets of Figs. 6 to 8, by `MODELS`[k]."""
+    """{name: ((phi [deg], K [m], S), equations)} of the parameter sets of Figs. 6 to 8, by the
+    reading `MODELS`[k].
+    """
     return {
         "Table 2": (ACTUAL_SET, MODELS[k]),
         "Table 3, printed": (PRINTED_SET, FIXED_COHESION[k]),

@@ -27,14 +27,14 @@ WONG_REECE_PEAK = (0.43, 0.32)
 
 @dataclass(frozen=True)
 class Sand:
-    """Compact sand (Table 2), SI units."""
+    """Compact sand (Table 2)."""
 
-    friction_angle_deg: float
-    cohesion: float
-    shear_modulus: float
-    k_c: float
-    k_phi: float
-    sinkage_exponent: float
+    friction_angle_deg: float  # phi
+    cohesion: float  # c [Pa]
+    shear_modulus: float  # K [m]
+    k_c: float  # [N/m^(n+1)]
+    k_phi: float  # [N/m^(n+2)]
+    sinkage_exponent: float  # n [-]
 
 
 def _printed() -> SimpleNamespace:
@@ -51,7 +51,10 @@ P = _printed()
 
 
 class Equations(NamedTuple):
-    """Equations and constants; the stress has its peak at (peak + peak_by_slip i) theta1."""
+    """A reading of the paper's equations: wheel, c and n that are known, stress peak, integration.
+
+    The stress has its peak at the angle (peak + peak_by_slip i) theta1.
+    """
 
     radius: float  # [m]
     width: float  # [m]
@@ -169,8 +172,10 @@ def newton_raphson(
     going = np.arange(len(x))  # searches under way
 
     def misfit(who: np.ndarray, soil: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(measured less predicted pulls [g, 3] in newtons of the searches `who` [g] at soils
-        [g, 3] as in `guess`, Jacobian [g, 3, 3] of the predicted pulls by (phi [rad], K, S)).
+        """(Measured less predicted pulls [g, 3] in N, Jacobian [g, 3, 3] of the predicted pulls by
+        (phi [rad], K, S)).
+
+        `who` [g]: indices of the searches; `soil` [g, 3]: where they are, in the units of `guess`.
         """
         y = forces(np.repeat(soil, 3, axis=0), slip[who].ravel(), sinkage[who].ravel(), e)
         return pull[who] - y[:, 0].reshape(-1, 3), y[:, 3:].reshape(-1, 3, 3)
@@ -183,7 +188,7 @@ def newton_raphson(
             going = going[solvable]
             residual = residual[solvable]
             step = np.linalg.solve(jacobian[solvable], residual[:, :, None])[:, :, 0]
-            step *= _DEGREES
+            step *= _DEGREES  # phi was solved in radians
             # Of the searches under way, those whose step has not been accepted.
             worse = np.flatnonzero(~_small(step, x[going]) & backtracking)
             for _ in range(_HALVINGS):
@@ -205,8 +210,9 @@ def newton_raphson(
 
 
 def _small(step: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """[G] True where a step of (phi [deg], K, S) [G, 3] from `x` is within `_TOLERANCE`: absolute
-    in radians for phi, relative for K and S.
+    """[G] True where a step of (phi [deg], K [m], S) [G, 3] from `x` [G, 3] is within `_TOLERANCE`.
+
+    It is absolute, in radians, for phi, and relative for K and S.
     """
     size = np.abs(x)
     size[:, 0] = _DEGREES[0]

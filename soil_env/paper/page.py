@@ -97,8 +97,8 @@ def _comparison(rows: Sequence[Row]) -> Table:
 
 
 def _limits(row: Row) -> list[str]:
-    """The recomputed limits of a row of Table 4 as text, with a mark where one is only the end of
-    the scan.
+    """The recomputed limits of a row of Table 4 as text, one for each reading; "< x (end of the
+    scan)" or "> x (...)" where the scan of `compare.table_4` met no limit.
     """
     return [
         f"{side} {value:{row.form}} (end of the scan)" if side else format(value, row.form)
@@ -143,7 +143,9 @@ def _rules() -> Table:
 
 
 def _noise(r: Results) -> Table:
-    """Table 5: errors under noise, printed and drawn, and the share of draws below the printed."""
+    """Table 5: errors [%] of phi, K and S under noise, printed and drawn, and the share of draws
+    whose error is below the printed one.
+    """
     rows = []
     for k, name in enumerate(NAMES):
         row = [LABELS[name], f"{P.table5[name][1]:.2f}"]
