@@ -136,8 +136,9 @@ workers_option = click.option(
 
 
 def name_of(study: str, smoke: bool) -> str:
-    """Name of the files of a study that goes on with what they hold: another one with --smoke,
-    whose numbers mean nothing.
+    """Name of the result files of a study that resumes from them: STUDY, with --smoke STUDY_smoke.
+
+    So no real run goes on with numbers of --smoke, which mean nothing.
     """
     return f"{study}_smoke" if smoke else study
 
@@ -157,7 +158,7 @@ def write(out: Path, name: str, title: str, text: str, tables: Mapping[str, Tabl
     """Write NAME.md into the folder `out`: a title, the paragraph `text`, and the tables under
     their headings, which are the keys.
 
-    Print it, and where it and NAME.json are, which is written elsewhere.
+    Print the page, and the paths of NAME.md and NAME.json. The latter is written by the caller.
     """
     parts = [f"## {heading}\n\n{table.markdown()}" for heading, table in tables.items()]
     page = "\n\n".join([f"# {title}", text, *parts]) + "\n"
@@ -166,7 +167,7 @@ def write(out: Path, name: str, title: str, text: str, tables: Mapping[str, Tabl
 
 
 def short(result: Any, digits: int = 5) -> Any:
-    """Plain values of a result (`plain`), floats in it with so many significant digits."""
+    """A result as plain values (`plain`), each float rounded to so many significant `digits`."""
     result = plain(result)
     if isinstance(result, dict):
         return {key: short(value, digits) for key, value in result.items()}

@@ -29,8 +29,8 @@ from soil_env_agents.evaluate.tuning import shipped_settings
 QUANTITIES = ("phi [deg]", "ln K", "ln S", "c [kPa]", "ln gain", "best pull [of load]")
 #: From the units of `Known.estimate` to these.
 UNITS = np.array([math.degrees(1.0), 1.0, 1.0, 1e-3, 1.0, 1.0])
-OF_SOIL = 5  # of these, all but the best pull
-SWING_PERIOD = 4.0  # [s]
+OF_SOIL = 5  # of `QUANTITIES`, all but the best pull
+SWING_PERIOD = 4.0  # [s] of rim speed or slip in the drives that swing
 ERROR_SEED = 5  # of zeros and gains
 
 
@@ -126,11 +126,11 @@ class Shadow:
         white = self.board.setting["identifier"][0]["white"]
         units = reading_units(believed)
         for name in missing:
-            white[name] = UNMEASURED * getattr(units, name)
-        self.slow = float(sensors_of(believed)["slow"][0])
+            white[name] = UNMEASURED * getattr(units, name)  # so much noise that it has no weight
+        self.slow = float(sensors_of(believed)["slow"][0])  # [m/s] least divisor of a slip
         self.missing = missing
         rng = np.random.default_rng(ERROR_SEED)
-        # [courses] of each of `ERRORS`, in the units of `Noise`.
+        # [courses] of each of `ERRORS`, in the units of `Noise`, drawn once for each course.
         self.errors = {n: size * sd * rng.normal(size=courses) for n, sd in ERRORS.items()}
         self.drifts = drifts
         self.begun = False
@@ -143,6 +143,7 @@ class Shadow:
         them.
         """
         readings = sim._sampled.samples
+        # Errors that drift have their usual size in the middle of the longest drive.
         misread = self._misread(readings, 2.0 * share if self.drifts else 1.0)
         world = sim._sampled._replace(samples=misread)
         if not self.begun:
@@ -285,10 +286,11 @@ def rover_scenario(rover: str) -> RoverScenario:
 
 
 class SwingingSlip:
-    """Rim speeds [rovers, axles], of the highest, for a slip of 20 +- 18 %, each axle at a phase of
-    its own.
+    """Driver of rovers by rim speeds [rovers, axles] for a slip of 20 +- 18 %, each axle at a phase
+    of its own.
 
-    The speeds change as slowly as the rim's, and are at least 30 % of the highest at no slip.
+    Rim speeds are shares of the highest. They change no faster than the scenario lets a rim, and
+    belong to a travel speed of 30 % of the highest rim speed at least.
     """
 
     def __init__(self, scenario: RoverScenario) -> None:
@@ -301,9 +303,9 @@ class SwingingSlip:
         self.last = None
 
     def __call__(self, speed: np.ndarray) -> np.ndarray:
-        """Rim speeds [rovers, axles] of this period from the measured speeds of the bodies
-        [rovers], both of the highest rim speed; 0 to 0.8. The first call sets no limit on their
-        change.
+        """Rim speeds [rovers, axles], 0 to 0.8, of this period from the measured speeds of the
+        bodies [rovers], both as shares of the highest rim speed. The first call sets no limit on
+        their change.
         """
         # The measured speed is smoothed over about twenty periods.
         self.speed = speed if self.speed is None else self.speed + 0.05 * (speed - self.speed)
@@ -317,8 +319,8 @@ class SwingingSlip:
 
 
 def constant_speeds(scenario: RoverScenario) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a drive at half the highest rim speed, [rovers, axles], whatever the measured speeds
-    [rovers].
+    """Return the driver of rovers that asks for half the highest rim speed: 0.5 [rovers, axles],
+    whatever the measured speeds [rovers] are.
     """
     return lambda speed: np.full((len(speed), scenario.axles), 0.5)
 
@@ -334,8 +336,8 @@ def record_rover(
     """Drive courses of a seed as `record`; arrays [T, courses, axles, ...], "truth", "NAME
     estimate" and "NAME sd" [OF_SOIL].
 
-    `control_of` a scenario gives rim speeds [courses, axles] for measured speeds [courses], both of
-    the highest rim speed.
+    `control_of` makes the driver of a scenario, a function that gives rim speeds [courses, axles]
+    for measured speeds [courses], both as shares of the highest rim speed.
     """
     control = control_of(scenario)
     simulation = RoverSimulation(

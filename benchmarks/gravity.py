@@ -69,22 +69,23 @@ def at_slips(soil: Soil, load: float, gravity: float) -> list[float]:
 
 
 def fitted(weight: float, cohesion: float) -> Soil:
-    """The soil with a cohesion [Pa] whose quantities under a weight [N] at 1 g have the least
-    squares of relative errors from the middles of the measurements there.
+    """Fit a soil with this cohesion [Pa], under a weight [N] at 1 g, to the measurements there.
+
+    Least squares of the relative errors of `at_slips` from the middles of `MEASURED`.
     """
     middle = np.array([np.mean(earth) for earth, _ in MEASURED.values()])
 
     def soil_of(x: np.ndarray) -> Soil:
         """Soil of the logarithms of the four unknowns, in the order of `UNKNOWNS`."""
         phi, modulus, stiffness, gain = np.exp(x).tolist()
-        moduli = {"sinkage_coefficient": stiffness, "gravity_measured": EARTH_GRAVITY}
+        on_earth = {"sinkage_coefficient": stiffness, "gravity_measured": EARTH_GRAVITY}
         return Soil(
             friction_angle_deg=phi,
             cohesion=cohesion,
             shear_modulus=modulus,
             sinkage_exponent=EXPONENT,
             dig_gain=gain,
-            **moduli,
+            **on_earth,
         )
 
     start, low, high = UNKNOWNS
@@ -97,8 +98,10 @@ def fitted(weight: float, cohesion: float) -> Soil:
 
 
 def steepest(scenario: Scenario, soil: Soil) -> float:
-    """Steepest slope [deg] of the wheel of a scenario on a soil: atan of the best pull over the
-    load, within the stall torque of its motor and with a smooth rim.
+    """Steepest slope [deg] of the wheel of a scenario on a soil: atan of the best pull over load.
+
+    The best pull is that within the stall torque of the motor, with a smooth rim, under the load on
+    level ground.
     """
     w = scenario.wheel
     load = scenario.weight
@@ -107,8 +110,11 @@ def steepest(scenario: Scenario, soil: Soil) -> float:
 
 
 def slopes() -> list[list[str]]:
-    """Rows of cells, for each soil of each rover and of the wheel of the scenario `mixed`: its
-    name, the soil, steepest slope [deg], in brackets with a straight strength, and `PUBLISHED`.
+    """Rows of cells, one for each soil of each preset of `PUBLISHED`, by its own scenario or, for
+    the wheel `planetary_rover`, `mixed`.
+
+    Cells: name of rover or wheel, soil, steepest slope [deg], in brackets that with a straight
+    strength, published slope and its source.
     """
     rows = []
     for name, published in PUBLISHED.items():

@@ -105,12 +105,12 @@ def cases() -> dict[str, Case]:
 
 
 def measure(case: Case, courses: int, seed: int) -> dict[str, Any]:
-    """Drive and judge a row: plain values of the case, its number of "courses", the `statistics` of
-    `SHIPPED` and of each of the identifiers beside it, and the tuned "settings" of the driver of a
-    wheel.
+    """Drive and judge a row; return its plain values by name.
 
-    They are of `drives.QUANTITIES` in `drives.UNITS`, of a rover of those of the soil, by all
-    wheels.
+    They are the fields of the case, the number of "courses", the `statistics` of `SHIPPED` and of
+    each identifier beside it by its name, and the tuned "settings" of the driver of a wheel. The
+    statistics are of `drives.QUANTITIES` in `drives.UNITS`, for a rover of the first
+    `drives.OF_SOIL` of them, over all wheels.
     """
     scenario: Any
     record: Callable[..., dict[str, np.ndarray]]
@@ -165,6 +165,7 @@ def statistics(true, prior, estimate, sd, status, course, units) -> dict[str, An
     error = estimate - true
     z = np.abs(error) / sd
     held = z < 1.0
+    # Steps of a course are no independent samples: their deviations are added, then squared.
     off = held - held.mean(0)
     spread = np.linalg.norm([off[course == k].sum(0) for k in np.unique(course)], axis=0)
     misfit = status == Status.MISFIT
@@ -175,7 +176,7 @@ def statistics(true, prior, estimate, sd, status, course, units) -> dict[str, An
         "bias": error.mean(0) * units,
         "sd": sd.mean(0) * units,
         "holds_68": 100.0 * held.mean(0),
-        "holds_68_error": 196.0 * spread / len(error),
+        "holds_68_error": 196.0 * spread / len(error),  # 1.96 standard errors [%]
         "holds_95": 100.0 * (z < 1.96).mean(0),
         "far": 100.0 * (z > 3.0).mean(0),
         "misfit": 100.0 * misfit.mean(),

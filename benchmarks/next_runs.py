@@ -4,10 +4,11 @@
     python -m benchmarks.next_runs --data DIR   folder of the measurements, else $SOIL_ENV_DATA
     python -m benchmarks.next_runs --smoke --out X   every part in a minute, numbers without meaning
 
-Half of the rows of a table, drawn at random, are held out. Of the others three are measured, and
-then one after the other: those that `discovery.next_for_prediction` chooses, random ones, or those
-furthest from what was measured (a design that fills the space). After each, all effects are fitted
-anew and predict the held-out rows. The same command goes on where it was interrupted.
+Half of the rows of a table, drawn at random, are held out. Three of the others count as measured at
+first, then one more after the other. The next one is what `discovery.next_for_prediction` chooses,
+a random one, or the one furthest from what was measured (a design that fills the space). After
+each, all effects are fitted anew and predict the held-out rows. The same command goes on where it
+was interrupted.
 """
 
 import dataclasses
@@ -68,6 +69,7 @@ def errors(case: Case, way: str, draw: int, most: int) -> list[float]:
     order = rng.permutation(case.table.slip.size)
     held, left = np.split(order, [order.size // 2])
     whole, noise = calibrate(prepare(case.table, case.setup))
+    # Stated in the setup, since a few rows do not tell their noise.
     known = NoiseLevels(*(x if np.isfinite(x) else None for x in noise.sd.tolist()))
     setup = dataclasses.replace(case.setup, noise=known)
     made = list(left[:FIRST])
@@ -97,10 +99,10 @@ def _at(problem: Problem, rows: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _surest(model: Prediction, whole: Problem, left: list[int]) -> int:
-    """Place in `left` (rows) of the one that lowers the mean standard deviation of all of them
-    most.
+    """Place in `left` (rows) of the one whose measurement lowers the mean standard deviation of the
+    predictions at all of `left` most.
     """
-    seen = whole.used.any(axis=0)
+    seen = whole.used.any(axis=0)  # [3] channels that the table has
     joint = model.joint_at(_at(whole, np.array(left)))[:, seen][:, :, :, seen]
     uncertain = Uncertainty(joint, model.variance_of_run[seen])
     return int(np.argmin([uncertain.after(g) for g in range(len(left))]))
@@ -118,19 +120,20 @@ def _furthest(whole: Problem, made: list[int], left: list[int]) -> int:
 
 
 def needed(chosen: np.ndarray, random: np.ndarray) -> float:
-    """Share of the runs that chosen ones need to err no more than random ones do at their end,
-    between runs in proportion to ln(error); 0 before any run, infinite where they never do.
+    """Share of all further runs after which the chosen ones err no more than the random ones do
+    after all of them.
 
-    `chosen` and `random` [runs + 1]: errors after each run, from none on.
+    `chosen` and `random` [runs + 1]: errors after each run, from none on. Interpolated is between
+    two runs, linearly in ln(error). 0 if it holds before any run, infinite if it never does.
     """
     reached = np.flatnonzero(chosen <= random[-1])
     if not reached.size:
         return math.inf
-    last = reached[0]
-    if last == 0:
+    first = reached[0]
+    if first == 0:
         return 0.0
-    before, after = np.log(chosen[last - 1 : last + 1] / random[-1])
-    return float((last - after / (after - before)) / (random.size - 1))
+    before, after = np.log(chosen[first - 1 : first + 1] / random[-1])
+    return float((first - after / (after - before)) / (random.size - 1))
 
 
 def tables_of(found: dict[str, dict[str, list[list[float]]]]) -> dict[str, Page]:

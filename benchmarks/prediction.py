@@ -6,9 +6,10 @@ particles.
     python -m benchmarks.prediction --smoke --out X   every part in seconds, numbers without meaning
 
 The wheels are those of `benchmarks.rigs` and `benchmarks.continuum`, as measurement tables with the
-setups that a user would write. Rows are left out by rim speed, slip or load, and predicted by the
-base model, by it with a remainder, by all effects in one fit with a remainder, by a generic curve,
-and by a Gaussian process over slip and load that knows no law of soils.
+setups that a user would write. Rows are left out by rim speed, slip or load, and predicted by each
+of `METHODS`. These are the base model, alone and with a smooth remainder, all effects in one fit
+with a remainder, and a generic curve. A Gaussian process over slip and load, and straight lines
+over slip, know no law of soils.
 """
 
 import math
@@ -132,14 +133,16 @@ def _both_out(folder: Path, name: str, condition: str) -> Iterator[Case]:
 
 
 def _each(values: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Groups of the rows with one value each, [N] bool."""
+    """One group of rows [N] bool for each different value of `values` [N]."""
     return tuple(values == v for v in np.unique(values))
 
 
 def figures(case: Case, folds: int | None = None) -> dict:
-    """Row of the page of a case: errors by method, of sinkage [m], pull [N] and torque [N m], over
-    the rows that were left out; of all of them over the noise; shares of the values within one and
-    two of the standard deviations that "all effects" states.
+    """Row of the page of a case: rms errors over the rows that were left out, by method.
+
+    "errors" are of sinkage [m], pull [N] and torque [N m]; "over_noise" those of all channels over
+    their noise. "within_one_sd" and "within_two_sd" are shares of the values within the standard
+    deviations that "all effects" states.
 
     Only the first `folds` of the groups are left out, None: all. The noise is the estimate from the
     rows without the last group. An error is NaN where a channel has no prediction or measurement.
@@ -250,13 +253,13 @@ def _rms(off: np.ndarray, axis: int | None = 0) -> np.ndarray:
 
 
 def ratios(rows: list[dict]) -> dict[str, dict[str, Any]]:
-    """{method: {"mean", "worst", "interval", "over_lines"}} of the errors over the noise of all
-    cases: geometric mean of those over the curve's, and the largest over the better of base model
-    and curve.
+    """{method: {"mean", "worst", "interval", "over_lines"}}: ratios of errors over the noise of all
+    cases. `rows`: by `figures`.
 
-    "interval" is that of the mean over other wheels (`by_wheel`), None of the curve itself.
-    "over_lines": mean and interval of the errors over those of straight lines. NaN of a method that
-    does not predict every case. `rows`: by `figures`.
+    "mean" is the geometric mean of the ratios to the curve's error, "interval" its interval for
+    other wheels (`by_wheel`), None for the curve itself. "worst" is the largest ratio to the better
+    of base model and curve. "over_lines": mean and interval of the ratios to the error of straight
+    lines. NaN of a method that does not predict every case.
     """
     wheels = [r["wheel"] for r in rows]
     errors = {name: np.array([r["over_noise"][name] for r in rows], float) for name in METHODS}

@@ -4,18 +4,21 @@
     python -m benchmarks.rigs --data DIR     folder of the measurements, else $SOIL_ENV_DATA
     python -m benchmarks.rigs --smoke --out X   every part in seconds, numbers without meaning
 
-The wheels: the smooth and the lugged one of the Carnegie Mellon rig (Pavlov & Johnson; one load, no
-torque), a smooth one on a three-dimensional continuum (material point method; five loads), a
-lugged one on particles (discrete elements after Nakanishi 2020; one load), and five of three
-published papers (benchmarks/measured; one load, driving). A lugged wheel counts as a smooth one on
-a soil of its own.
+The wheels are nine:
+- the smooth and the lugged one of the Carnegie Mellon rig (Pavlov & Johnson; one load, no torque),
+- a smooth one on a three-dimensional continuum (material point method; five loads),
+- a lugged one on particles (discrete elements after Nakanishi 2020; one load),
+- five of three published papers (benchmarks/measured; one load, driving).
+
+A lugged wheel counts as a smooth one on a soil of its own.
 
 A soil is fitted to rows by least squares with Gaussian priors and predicts rows that it was not
 fitted to. Sinkage weighs 1 % of the radius, pull 2 % of the load, torque 2 % of the load times the
 radius. Locked wheels (slip -1) are predicted and never fitted.
 
-The constants of soil that flows along the rim are chosen on one rig and judged on the others, both
-ways: those with which soils from driving rows predict that rig best.
+The constants of soil that flows along the rim are chosen on one rig and judged on the others.
+Chosen are those with which soils from driving rows predict that rig best. This is done on the
+continuum and on the Carnegie Mellon rig.
 
 For two wheels a shear test gave K as well. It is compared with K as `soil-env identify` finds it
 from the drive, where the rest of the soil is known from plates and shear tests.
@@ -67,7 +70,7 @@ LN_PRESSURE = (8.0, 1e3, 3.0, 18.0)  # ln of the pressure [Pa] at DEPTH: free
 FLOWS = (0.04, 0.12)  # a
 GROWTHS = (0.0, 1.0, 1.5)  # p
 PEAK = 0.25  # [-] shift of the braked stress peak, which is not chosen
-LENGTH = 0.45  # [radii] contact length that K belongs to: that at `DEPTH`
+LENGTH = 0.45  # [radii] contact length that K belongs to: that of the sinkage `DEPTH`
 FLOW_ERROR = 5e-4  # [-] of a
 #: Rigs that constants are chosen on, with their wheels.
 CHOSEN_ON = {"continuum": ("continuum",), "CMU": ("CMU smooth", "CMU lugged")}
@@ -119,7 +122,9 @@ class Rig:
 
     @property
     def scale(self) -> np.ndarray:
-        """Errors [N, 3] of sinkage [m], pull [N] and torque [N m] that weigh 1 in a fit."""
+        """Errors [N, 3] of sinkage [m], pull [N] and torque [N m] that weigh 1 in a fit: as one
+        standard deviation of a prior does.
+        """
         force = FORCE_SD * self.load
         return np.stack(
             [np.full(self.load.size, SINKAGE_SD * self.radius), force, force * self.radius], axis=1
@@ -182,8 +187,8 @@ def _columns(rows: np.ndarray, *columns: tuple[str, float]) -> tuple[np.ndarray,
 
 
 def priors(rig: Rig) -> np.ndarray:
-    """Prior mean, standard deviation and bounds [7, 4] of the unknowns of `soil_of`, in its order;
-    the zero of the sinkage is within two of its standard deviations.
+    """Prior mean, standard deviation, lower and upper bound [7, 4] of the unknowns of `soil_of`, in
+    its order; the zero of the sinkage is within two of its standard deviations.
     """
     # A zero that is known is given hardly any room, since least squares needs some.
     zero = max(rig.zero, 1e-9)
@@ -201,8 +206,10 @@ def priors(rig: Rig) -> np.ndarray:
 
 
 def soil_of(x: np.ndarray, rig: Rig, law: Law) -> SoilState:
-    """Soil of the unknowns `x` [7]: phi [deg], ln K/r, ln of the pressure [Pa] at `DEPTH`, n, gain
-    of slip-sinkage, ln c, and the zero of the sinkage [m], which is none of the soil's.
+    """Soil of the unknowns `x` [7] under the wheel of a rig, with the shear law `law`.
+
+    They are phi [deg], ln K/r, ln of the pressure [Pa] at `DEPTH`, n, gain of slip-sinkage, ln of c
+    [Pa], and the zero of the sinkage [m]. The last is an error of the rig, for `predict`.
     """
     n = float(x[3])
     return SoilState(
@@ -243,6 +250,7 @@ def fit(rig: Rig, rows: np.ndarray, law: Law, starts: int) -> np.ndarray:
         return np.concatenate([misfit[np.isfinite(misfit)], (x - mean) / sd])
 
     pressure = math.log(np.median(rig.load) / (rig.width * rig.radius))
+    # Scales are sds of the priors, at most 1: that of the pressure, which is free, is 1e3.
     found = [
         least_squares(
             residuals, [*start, pressure, *mean[3:]], bounds=(low, high), x_scale=sd.clip(max=1.0)
@@ -306,8 +314,9 @@ def choose(rigs: list[Rig], starts: int, growths: tuple[float, ...]) -> Law:
 
 
 def figures(name: str, rig: Rig, law: Law, starts: int, folds: int | None) -> list[dict]:
-    """Rows (`_row`) of the table of the rig `name`: rms error of the predictions of each channel,
-    for each of the `splits` and each way to move: driving, braked or locked.
+    """Rows (`_row`) of the table of the rig `name`: rms errors of the predictions by channel.
+
+    There is one for each of the `splits` and each motion with rows: driving, braked or locked.
 
     `starts` as of `fit`; only the first `folds` of each split, None: all.
     """

@@ -5,8 +5,8 @@ with effects, and on another wheel.
     python -m benchmarks.robustness --smoke --out X  every part in seconds; numbers mean nothing
 
 Courses of `two_lines`. Both drivers act on observations that `Observer` makes of the readings, as
-on a vehicle: the environment's own sensors, with their zeros and gains, and the error of a row on
-top. Neither the identifier nor a driver is told of it.
+on a vehicle. Readings are those of the environment's sensors, with their zeros and gains, and the
+error of a row on top. Neither the identifier nor a driver is told of this error.
 """
 
 import math
@@ -57,7 +57,7 @@ WORLDS = ("shear_softening", "bulldozing", "grousers", "two_effects", "law_error
 SMALLER = 0.95  # [of the radius that is known] of the wheel in one row
 #: Another wheel, which is known: a quarter smaller and narrower than that of the ground.
 OTHER_WHEEL = {"wheel": {"radius": 0.11, "width": 0.11}}
-DRIVERS = ("default_policy", "best_slip_identified")
+DRIVERS = ("default_policy", "best_slip_identified")  # the agent, the rule
 
 
 TEXT = (
@@ -93,8 +93,10 @@ def cases() -> dict[str, Case]:
 
 
 def misread(reading: SensorReading, case: Case, sign: float, scenario: Scenario) -> SensorReading:
-    """A reading with the error of a row, `TIMES` its standard deviation in the scenario, up (`sign`
-    1) or down (-1), or without the dead sensor (NaN); as it is where the row has neither.
+    """A set of readings with the error of a row, up (`sign` 1) or down (-1).
+
+    The error is `TIMES` the standard deviation of that zero or gain in the scenario. A dead sensor
+    reads NaN. The readings stay as they are where the row has neither.
     """
     if case.dead:
         return reading._replace(**{case.dead: math.nan})

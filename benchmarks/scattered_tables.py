@@ -40,16 +40,17 @@ REACH = {68: 1.0, 95: 1.96}
 
 
 def draw(rng: np.random.Generator, rows: int, shared: bool) -> tuple[Sound, Soil]:
-    """(a table of so many `rows` that a rig could measure, its soil); slip and load err in each row
-    by itself, or, if `shared`, in all rows of a drive together.
+    """Draw (a table of so many `rows` that a rig could measure, its soil).
 
-    The soil is a preset with S of the drawn wheel in place of k_c and k_phi, without slip-sinkage,
-    flow along the rim and growth of K. Six of ten setups state the noise of the channels, all that
-    of slip and load. Draws are repeated until soil and wheel could be those of a rig (`of_a_rig`).
+    Slip and load err in each row by itself, or, if `shared`, in all rows of a drive together. The
+    soil is a preset with a straight strength and without a firm layer. It has the S of the drawn
+    wheel in place of k_c and k_phi, and no slip-sinkage, flow along the rim and growth of K. Six of
+    ten setups state the noise of the channels, all that of slip and load. Draws are repeated until
+    soil and wheel could be those of a rig (`of_a_rig`).
     """
-    known = [s for s in soils().values() if s.reference_stress == 0.0 and s.layer is None]
+    plain = [s for s in soils().values() if s.reference_stress == 0.0 and s.layer is None]
     while True:
-        preset = known[int(rng.integers(len(known)))]
+        preset = plain[int(rng.integers(len(plain)))]
         r = math.exp(rng.uniform(math.log(0.05), math.log(0.35)))
         b = r * rng.uniform(0.4, 1.2)
         stiffness = preset.lumped(b)
@@ -57,9 +58,11 @@ def draw(rng: np.random.Generator, rows: int, shared: bool) -> tuple[Sound, Soil
         soil = replace(preset, **lumped, dig_gain=0.0, rim_flow=0.0, shear_growth=0.0)
         z = r * rng.uniform(0.03, 0.2)
         pressure = stiffness * z**soil.sinkage_exponent
+        # [N] load at the sinkage z, as in `sound_tables`.
         middle = 0.6 * b * math.sqrt(2.0 * r * z) * pressure
         slip = rng.uniform(0.03, 0.6, rows)
         load = middle * np.exp(rng.uniform(-0.5, 0.5, rows))
+        # The table states slip and load as drawn; the true ones differ by these errors.
         errors = rng.normal(size=(DRIVES if shared else rows, 2))
         of_rows = np.sort(rng.integers(0, DRIVES, rows)) if shared else np.arange(rows)
         off = errors[of_rows] * (SLIP, LOAD)

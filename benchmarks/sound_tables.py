@@ -138,6 +138,7 @@ def _draw(rng: np.random.Generator, name: str) -> Sound | None:
         for _ in range(3)
     ]
     error = float(rng.choice([0.0, 0.05, 0.1]))
+    # Typical sinkage, pull and torque, the forces for a coefficient of traction of 0.3.
     sd = np.array([z, 0.3 * middle, 0.3 * middle * r]) * rng.uniform(0.003, 0.02)
     y = y * (1.0 + error * np.stack(waves, axis=1)) + sd * rng.normal(size=y.shape)
     drop = rng.choice([-1, -1, 0, 2])  # of the channels, one is sometimes not measured
@@ -150,9 +151,10 @@ def _draw(rng: np.random.Generator, name: str) -> Sound | None:
 
 
 def of_a_rig(y: np.ndarray, r: float, load: float) -> bool:
-    """True if a rig could measure `y` [N, 3], sinkage [m], pull [N] and torque [N m], with a wheel
-    of radius r [m]: pull and torque/r at most `MOST_GRIP` times the largest `load` [N], sinkages of
-    0.005 to 0.6 radii.
+    """True if a rig could measure `y` [N, 3], sinkage [m], pull [N] and torque [N m].
+
+    Pull and torque/r are then at most `MOST_GRIP` times the largest `load` [N], and sinkages 0.005
+    to 0.6 times the radius r [m] of the wheel.
     """
     sinkage, pull, torque = y.T
     grip = max(np.max(np.abs(pull)), np.max(np.abs(torque)) / r) / load
@@ -210,8 +212,8 @@ def _priors(rng: np.random.Generator, soil: Soil, chosen: dict[str, float]) -> S
 
 
 def _changed(name: str, change: Callable, one: bool = False) -> Callable[[Sound], Sound | None]:
-    """A mistake that changes the values [N] of the column `name` by `change`, or only `one` of
-    them, in a row that follows from the table.
+    """Return the function that makes a mistake in a table: `change` of the values [N] of the column
+    `name`, or of only `one` of them, in a row that follows from the table.
     """
 
     def wrong(t: Sound) -> Sound | None:
@@ -263,8 +265,10 @@ MISTAKES: dict[str, Callable[[Sound], Sound | None]] = {
 
 
 def told(t: Sound) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """(what `examine` says first of a table, cautions on other readings), in sentences. A refusal
-    counts as said, and so does a sentence on the wrong row, or a value of it, that is left out.
+    """(Sentences that doubt a table, cautions that another reading fits too), by `examine`.
+
+    A refusal of the table counts as a doubt, and so does the note that the wrong row, or a value in
+    it, is left out.
     """
     try:
         found = examine(t.table(), t.setup)

@@ -46,8 +46,8 @@ ENVIRONMENTS: dict[str, tuple[str, str | None, dict[str, Any]]] = {
 class Runner(NamedTuple):
     """Environments under random actions: one call of `step` moves `size` of them."""
 
-    size: int
-    step: Callable[[], object]
+    size: int  # environments
+    step: Callable[[], object]  # takes one action in each
 
 
 def runner(name: str, size: int, threads: int) -> Runner:

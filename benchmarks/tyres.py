@@ -67,8 +67,10 @@ def stresses(wheel: ModelWheel, load: float) -> tuple[np.ndarray, np.ndarray, np
 
 
 def figure() -> tuple[Figure, dict[str, Any]]:
-    """(picture of stresses on rock and of the pull over S, {wheel: its drawbar pull over the load
-    on the grounds `STIFFNESS`}) of the preset `husky`, as it is and with a rigid wheel.
+    """(Picture, {wheel: its drawbar pull over the load [-] on the grounds `STIFFNESS`}) of the
+    preset `husky`, with its tyre and with a rigid wheel of its size.
+
+    The picture has the stresses on rock, left, and the pull over S, right.
     """
     husky = wheels()["husky"]
     load = husky.body_mass * EARTH_GRAVITY

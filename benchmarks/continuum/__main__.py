@@ -119,8 +119,10 @@ def loop_command(smoke: bool, out: Path, only: str | None, beds: int, workers: i
 
 
 def _learnt(table: str) -> dict:
-    """What is learnt from a table: verdict and named effects of discovery, "errors" as `loop.learn`
-    gives them, and under "tuned" for each of its models the grade [deg] with the `loop.Drive`.
+    """Learn models from a table and tune the rule in each; return plain values by name.
+
+    "verdict" and "named" (effects) are those of discovery, "errors" those of `loop.learn`. "tuned"
+    has for each model the "grade" [deg] and the fields of its `loop.Drive`.
     """
     report, errors = loop.learn(TABLES / f"{table}.csv")
     shape = SHAPES[WHEELS[table][1]]
@@ -137,10 +139,10 @@ def _learnt(table: str) -> dict:
 
 
 def _driven(cell: tuple[str, str, float, int], smoke: bool) -> loop.Drive:
-    """The drive on the continuum of a `cell`: table, name of the model, which is not used, the
-    grade [deg] that was tuned in it, and number of the bed, which seeds its disorder.
+    """Drive on the continuum up a grade, in a worker process.
 
-    With `smoke` the bed is short, shallow and coarse.
+    `cell`: table, name of the model (not used here), the grade [deg] that was tuned in it, and
+    number of the bed, which seeds its disorder. With `smoke` the bed is shallow and coarse.
     """
     table, _, grade, bed = cell
     soil, shape = WHEELS[table]

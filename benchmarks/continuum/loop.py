@@ -1,5 +1,5 @@
-"""The loop from a measured table to a drive: a model is learnt from the continuum at some loads, a
-rule is tuned in it, and drives on the continuum under another load.
+"""The loop from a measured table to a drive: a rule is tuned in a model that was learnt from the
+continuum at some loads, and then drives on the continuum under another load.
 
 The rule climbs at a steady rim speed, and does not go where its slip would be larger than `SLIP`:
 it knows the steepest grade on which it is not. This grade is tuned in the environment of the
@@ -77,7 +77,8 @@ def settings(shape: Shape, grade: float) -> dict[str, Any]:
     The course is one patch of one grade, longer than any drive, without halts, load or terrain
     classes.
     """
-    even = (LONG.length * 10.0,) * 2  # [m] least and largest length of a patch and of a slope
+    # [m] least and largest length of a patch and of a slope, and of the course.
+    even = (LONG.length * 10.0,) * 2
     return {
         "wheel": {"radius": shape.radius, "width": shape.width} | DRIVE,
         "noise": {field.name: 0.0 for field in fields(Noise)},
@@ -131,7 +132,7 @@ def simulated(shape: Shape, grade: float, model: WheelSoilModel) -> Drive:
         **settings(shape, grade),
     )
     observation, _ = env.reset(seed=0)
-    last = [observation, 0.0, 0.0, 0.0]
+    last = [observation, 0.0, 0.0, 0.0]  # what `step` returned last
     over = False
 
     def step(action: np.ndarray) -> list:

@@ -4,9 +4,9 @@ The rim moves at `RIM_SPEED` and the axle at the speed that gives the slip; the 
 down. Values are means over the second half of the travel, their standard deviations those of the
 means of its fifths.
 
-It is a fixed virtual soil, of which the grid is a part. At 80 N and a slip of 0.3 on smooth sand a
-grid of 5 mm instead of 10 leaves the sinkage as it is (13.8 mm for 13.6), the pull falls from 17.5
-to 11.5 N and the torque from 5.2 to 4.6 N m.
+The tables are of one virtual soil, of which the grid is a part: results depend on its spacing. Of
+the smooth wheel on sand at 80 N and a slip of 0.3, a grid of 5 mm instead of 10 leaves the sinkage
+as it is (13.8 mm for 13.6). The pull falls from 17.5 to 11.5 N and the torque from 5.2 to 4.6 N m.
 """
 
 import csv

@@ -193,14 +193,17 @@ def weights(d):
 
 @njit(**FAST)
 def scatter(grid, particles, q, push_along, push_up, step):
-    """Add the mass of particle q to the nodes of the grid about it, and the momentum at the end of
-    the step: with its stress, gravity and a force on it (`push_along`, `push_up`) [N/m].
+    """Add the mass of particle q, and its momentum at the end of the step, to the nodes about it.
+
+    The momentum changes in the step by its stress, by gravity, and by a force on it (`push_along`,
+    `push_up`) [N/m].
     """
     i, dx = cell(particles.position[q, 0], step.spacing)
     j, dz = cell(particles.position[q, 1], step.spacing)
     across = weights(dx)
     upward = weights(dz)
     mass = step.mass
+    # 4/spacing^2: inverse of the second moment of quadratic B-splines, MLS-MPM.
     impulse = step.time * particles.volume[q] * 4.0 / step.spacing**2
     velocity = particles.velocity[q]
     gradient = particles.gradient[q]
@@ -270,7 +273,7 @@ def gather(grid, particles, q, step):
             xz += moved_along * z
             zx += moved_up * x
             zz += moved_up * z
-    scale = 4.0 / step.spacing**2
+    scale = 4.0 / step.spacing**2  # as in `scatter`
     gradient = particles.gradient[q]
     gradient[0, 0] = scale * xx
     gradient[0, 1] = scale * xz
@@ -300,11 +303,12 @@ def strain(particles, q, step):
     shear = 0.5 * step.time * (gradient[0, 1] + gradient[1, 0])
     turn = 0.5 * step.time * (gradient[0, 1] - gradient[1, 0])
     particles.volume[q] = min(particles.volume[q] * (1.0 + volume), step.swollen)
-    bearing = volume
+    bearing = volume  # strain that changes the pressure
     if particles.gap[q] > 0.0 and volume < 0.0:
         closed = min(particles.gap[q], -volume)
         particles.gap[q] -= closed
         bearing += closed
+    # Jaumann's rate: the stress turns with the soil.
     xx = stress[0] + 2.0 * turn * stress[2]
     zz = stress[1] - 2.0 * turn * stress[2]
     xz = stress[2] + turn * (stress[1] - stress[0])

@@ -75,7 +75,8 @@ class Vehicle(NamedTuple):
 
 #: A wheel: place of the axle [m], its velocity [m/s], angle [rad] and angular speed [rad/s].
 WHEEL = np.dtype([(name, "f8") for name in ("x", "z", "along", "up", "angle", "speed")], align=True)
-#: Sums over steps: forces of the soil on the wheel [N/m], torque of the axle on it [N m/m].
+#: Means over steps, by `advance`: forces of the soil on the wheel [N/m], and the torque [N m/m] by
+#: which the soil resists its turning, which the axle gives at a steady speed.
 FORCES = np.dtype([(name, "f8") for name in ("along", "up", "torque")], align=True)
 
 
@@ -210,8 +211,9 @@ class Rig:
     ) -> None:
         """Let a bed come to rest on a `slope` [rad], and put a wheel with a `load` [N] on it.
 
-        The wheel is at rest at `START`, its lugs `CLEARANCE` above the soil, and free up and down
-        only: it keeps the speeds `wheel.along` and `wheel.speed` that it is given, until `let_go`.
+        The wheel is at rest at `START`, its lugs `CLEARANCE` above the soil. It is free up and down
+        only: until `let_go` it keeps the speeds `wheel.along` [m/s] and `wheel.speed` [rad/s] that
+        a caller sets.
         """
         self.shape = shape
         self.bed = bed

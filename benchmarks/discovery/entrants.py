@@ -86,8 +86,8 @@ def entrant(name: str) -> Entrant:
 def workflow(data: Path, setup: Path) -> Answer:
     """Discovery workflow of soil_env, by the content of its report.json.
 
-    Of an ambiguous verdict the first candidate is named if it is more probable than nothing or
-    something unlisted.
+    Of an ambiguous verdict the first candidate is named if it is more probable than no effect, and
+    than an effect that is not listed.
     """
     report = content(run(data, setup, leave_out=False))
     named = tuple(e["name"] for e in report["effects"])

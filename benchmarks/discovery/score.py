@@ -1,9 +1,9 @@
 """Scores: every answer against its truth, shares with Wilson intervals, calibration of the stated
 probabilities.
 
-A case *counts* for the targets where the hidden effect is at or above twice its detection limit; an
-unlisted mechanism, where what the best listed form would leave of it is. The calibration and the
-shares under `all` have every case.
+A case *counts* for the targets if the hidden effect is at or above twice its detection limit. Of an
+unlisted mechanism, what the best listed form would leave has to be. The calibration and the shares
+under `all` have every case.
 """
 
 import json
@@ -41,7 +41,7 @@ class Record(NamedTuple):
 
     @property
     def sure(self) -> set[str]:
-        """Names with more than 50 %, or asserted without a probability."""
+        """Names stated at more than `MORE_LIKELY`, or asserted without a probability."""
         return {name for name, p in stated(self.answer).items() if p > MORE_LIKELY}
 
 
