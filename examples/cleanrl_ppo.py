@@ -24,13 +24,13 @@ from soil_env.simulation.task import Cause
 
 WHEELS = 64
 LENGTH = 128  # steps of each wheel between updates
-GAMMA = 0.999
-LAMBDA = 0.95
-CLIP = 0.2
+GAMMA = 0.999  # discount of a step
+LAMBDA = 0.95  # of generalised advantages
+CLIP = 0.2  # change of a probability ratio beyond which it does not count
 EPOCHS = 4
-BATCH = 1024
-RATE = 1e-3
-REWARD_SCALE = 0.1
+BATCH = 1024  # steps
+RATE = 1e-3  # learning rate at first
+REWARD_SCALE = 0.1  # so that returns are of order 1 for the critic
 
 
 def network(inputs: int) -> nn.Sequential:
@@ -97,8 +97,10 @@ def rollout(envs, agent: Agent, x: torch.Tensor) -> tuple[list[torch.Tensor], to
 
 
 def update(agent: Agent, optimiser, x, actions, log_probs, gains, returns) -> None:
-    """Improve the agent by EPOCHS epochs on the columns of one `rollout`, in batches of BATCH:
-    clipped surrogate objective (Schulman et al. 2017) and half the square error of the value.
+    """Improve the agent by EPOCHS epochs on the columns of one `rollout`, in batches of BATCH.
+
+    The loss is the clipped surrogate objective (Schulman et al. 2017), and half the square error of
+    the value.
     """
     for _ in range(EPOCHS):
         for part in torch.randperm(len(x)).split(BATCH):

@@ -46,7 +46,7 @@ CHANNELS = {
 
 
 class Recorder:
-    """A bag in the new folder `path` that is being written; its user closes `writer`."""
+    """Writer of a bag into the new folder `path`; the caller closes `writer` at the end."""
 
     def __init__(self, path: Path, storage: StoragePlugin = StoragePlugin.MCAP) -> None:
         self.writer = Writer(path, version=9, storage_plugin=storage)
@@ -143,7 +143,7 @@ def drive(recorder: Recorder, seed: int, steps: int):
     weight = scenario.weight
     radius = scenario.wheel.radius
     top = radius * scenario.wheel.no_load_speed
-    unit = {
+    unit = {  # SI units of 1 in the entry of the observation
         "slip": 1.0,
         "sinkage": radius,
         "drawbar_pull": weight,
@@ -158,6 +158,7 @@ def drive(recorder: Recorder, seed: int, steps: int):
     env.reset(seed=seed)
     online = []
     for step in range(1, steps + 1):
+        # The command swings, so that the slip does: one slip alone identifies little.
         observation, _, terminated, truncated, info = env.step([0.35 + 0.2 * math.sin(0.15 * step)])
         reading = {
             name: scale * float(observation[names.index(name)]) for name, scale in unit.items()
@@ -171,8 +172,10 @@ def drive(recorder: Recorder, seed: int, steps: int):
 
 
 def map_of(scenario) -> str:
-    """Text of the map of such a bag, as YAML, with the wheel, the sensors and the belief of the
-    scenario; each channel has the standard deviation of its white noise in SI units.
+    """Text of the map (YAML) of a bag that was recorded in a scenario.
+
+    It has the wheel, the sensors and the belief of the scenario. Each channel has the standard
+    deviation of its white noise in SI units.
     """
     wheel = scenario.wheel
     noise = scenario.noise

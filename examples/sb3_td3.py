@@ -45,7 +45,7 @@ def main() -> None:
         learning_starts=min(5000, steps // 2),
         gradient_steps=4,
         learning_rate=3e-4,
-        action_noise=NormalActionNoise(np.zeros(2), np.array([0.3, 1.0])),
+        action_noise=NormalActionNoise(np.zeros(2), np.array([0.3, 1.0])),  # of drive, of route
         policy_kwargs={"net_arch": [64, 64], "optimizer_kwargs": {"weight_decay": 1e-3}},
         seed=0,
         device="cpu",
