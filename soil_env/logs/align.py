@@ -143,8 +143,8 @@ def interpolated(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(`values` [N] with NaN filled linearly, True [N] where filled).
 
-    Filled is what lies between known values at most `max_gap` apart, in the unit of `time` [N].
-    NaN before the first known value and after the last stays.
+    A NaN is filled if the known values around it are at most `max_gap` apart, in the unit of `time`
+    [N]. NaN before the first known value and after the last stays.
     """
     filled = np.isnan(values)
     known = np.flatnonzero(~filled)

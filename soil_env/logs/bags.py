@@ -30,8 +30,8 @@ SUFFIXES = (".mcap", ".db3")
 _UNPACK = {".zst": "zstd -d", ".zstd": "zstd -d", ".lz4": "lz4 -d", ".gz": "gzip -d"}
 _MOST_CHUNK = 2**28  # [bytes] unpacked, of a chunk; recorders make them of a few megabytes
 _MOST_MESSAGE = 2**26  # [bytes] unpacked, of a message of which a number is read
-#: Most instructions of SQLite for a file: this many, and so many more for each of its bytes. A
-#: plain bag takes less than one a byte; own choice.
+#: Most instructions of SQLite for a file: (for any file, more for each of its bytes). A plain bag
+#: takes less than one a byte; own choice.
 _MOST_WORK = (10_000_000, 10)
 _WORK_STEP = 100_000  # instructions between two counts
 _LEAST_TEXT = 10_000  # [bytes] of a text or blob that SQLite may make of a file however small

@@ -115,8 +115,8 @@ class Replay:
     def learnt(self, current: bool = False) -> dict[str, float]:
         """Least standard deviation of each parameter over that of the prior; 1: nothing learnt.
 
-        Taken are the estimates away from borders with status CONVERGED or NOT_EXCITED; with
-        `current` only CONVERGED ones.
+        The least is that of the estimates away from borders with status CONVERGED or NOT_EXCITED;
+        with `current` only of CONVERGED ones.
         """
         sound = [Status.CONVERGED] if current else [Status.CONVERGED, Status.NOT_EXCITED]
         kept = np.isin(self.status, sound) & ~self.on_border

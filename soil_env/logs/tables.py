@@ -93,7 +93,7 @@ def _nanoseconds(stamp: str | int, unit: str) -> int:
         at = at if at.tzinfo else at.replace(tzinfo=UTC)
         time = (at - _EPOCH) // timedelta(microseconds=1) * 1000
     else:
-        decimal(stamp)  # refuses what is none; a float has too few digits for a time of today
+        decimal(stamp)  # only for its error: a float has too few digits for a time of today
         count = Decimal(stamp.strip()) - (_EXCEL if unit == "excel" else 0)
         time = count * round(TIMES[unit] * 1e9)
     if not abs(time) <= LATEST:
