@@ -23,7 +23,7 @@ from filelock import FileLock, Timeout
 #: In a folder of results: the digests of the files that commands wrote there, by name.
 MANIFEST = ".soil_env.json"
 LOCK = ".soil_env.lock"
-_WITHOUT_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)  # errors of such a disk
+_WITHOUT_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)  # errors of a disk without locks
 
 
 def replace_file(path: str | Path, content: bytes | str) -> None:
@@ -203,9 +203,9 @@ def is_unused(folder: Path) -> bool:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder where there is none, and check that files can be put into it.
+    """Make a folder if it is missing, and check that files can be put into it; OSError if not.
 
-    OSError, before the work of a command and not after it, where that fails.
+    A command calls this before its work, so that it does not fail after it.
     """
     check_outputs(folder)
     folder.mkdir(parents=True, exist_ok=True)

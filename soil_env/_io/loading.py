@@ -69,8 +69,8 @@ def quantity(
     default=dataclasses.MISSING,
     doc: str = "",
 ):
-    """A dataclass field holding a number in [low, high] of the given unit, both ends included, or a
-    (low, high) pair of such numbers.
+    """A dataclass field for a number in [low, high] of the given unit, both ends included, or for a
+    tuple of numbers that are; a pair must not fall.
 
     `doc` is its meaning, which errors and `soil-env describe` show. Only classes derived from
     `Checked` check it.
@@ -384,7 +384,7 @@ def to_dict(instance: object) -> dict[str, typing.Any]:
     """A dataclass as nested plain values, ready for YAML: mappings, and lists for tuples."""
 
     def plain(x):
-        """`x` with all that is in it; what is no dataclass, mapping, tuple or list as it is."""
+        """`x` with dataclasses, mappings, tuples and lists in it made plain, and all else kept."""
         if dataclasses.is_dataclass(x):
             return {f.name: plain(getattr(x, f.name)) for f in dataclasses.fields(x)}
         if isinstance(x, dict):
@@ -411,8 +411,9 @@ class _Strict(yaml.SafeLoader):
     values = 0  # counted so far in this file
 
     def get_single_node(self):
-        """The root of the file, None of an empty one; all below it is checked before a value is
-        made.
+        """The root node of the file, None if it is empty.
+
+        All nodes are checked here, before a value is made of any.
         """
         node = super().get_single_node()
         if node is not None:
@@ -450,10 +451,10 @@ def _wrong(node: yaml.Node, said: str) -> yaml.YAMLError:
 
 
 def _number_of(loader: _Strict, node: yaml.ScalarNode) -> int | float:
-    """The number of a node as it is written.
+    """The number of a YAML node, where it means what a reader takes it for.
 
-    Refused are 0150, which YAML 1.1 reads as octal, 1:30, which it reads in sixtieths, and a number
-    too large for a float. The text inf is infinite.
+    `yaml.YAMLError` for 0150, which YAML 1.1 reads as octal, for 1:30, which it reads in sixtieths,
+    and for a number too large for a float. Only inf, written so, is infinite.
     """
     text = node.value.replace("_", "").lstrip("+-")
     whole = node.tag.endswith(":int")
@@ -473,8 +474,9 @@ for _kind in ("int", "float"):
 
 
 def parse_yaml(text: str):
-    """The value that a YAML text stands for, None of an empty one; `yaml.YAMLError` for whatever is
-    wrong with it.
+    """The value that a YAML text stands for, None for an empty text.
+
+    `yaml.YAMLError` for any fault, also one for which the library raises another error.
     """
     try:
         return yaml.load(text, _Strict)  # a SafeLoader
