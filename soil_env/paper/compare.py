@@ -120,7 +120,7 @@ def alone(e: Equations, name: str, target: float) -> float:
     """The value of one parameter of the sand at which the drawbar pull of the working point is
     `target` [N], all others as in Table 2.
 
-    Looked for between half and twice the value of Table 2, cohesion within wide limits.
+    It is sought between half and twice the value of Table 2, a cohesion from -10 to 100 kPa.
     """
     value = getattr(SAND, name)
     low, high = (-1e4, 1e5) if name == "cohesion" else (0.5 * value, 2.0 * value)
@@ -328,8 +328,10 @@ class Noisy(NamedTuple):
 
 
 def table_5(e: Equations, seed: int, draws: int) -> Noisy:
-    """`Noisy` of Table 5: so many `draws` of white noise (`NOISE`) on slip, sinkage and drawbar
-    pull of the three measured points.
+    """`Noisy` of Table 5, by a number of `draws` of white noise (`NOISE`) on slip, sinkage and
+    drawbar pull of the three measured points.
+
+    `ParameterError` where every search is lost.
     """
     rng = np.random.default_rng([seed, 5])
     factors = 1.0 + NOISE * rng.standard_normal((draws, 3, 3))
@@ -375,8 +377,8 @@ def pull_misfits() -> list[float]:
 
 
 def sinkages(soil: ArrayLike, slip: np.ndarray, e: Equations) -> np.ndarray:
-    """Sinkage [m] at which (1) carries `WONG_REECE_LOAD`, for each slip [M], looked for up to a
-    radius. `soil` is (phi [deg], K [m], S).
+    """Sinkages [M] in m, of one radius at most, at which (1) carries `WONG_REECE_LOAD`, for each
+    slip [M]. `soil` is (phi [deg], K [m], S).
     """
 
     def excess(sinkage: float, i: float) -> float:
@@ -394,7 +396,7 @@ def torque(soil: ArrayLike, e: Equations) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Results:
-    """All that the page shows."""
+    """Recomputed tables and figures, as `page` shows them."""
 
     seed: int  # of the noise of Table 5
     draws: int  # of that noise
@@ -405,7 +407,7 @@ class Results:
 
 
 def compute(seed: int, draws: int) -> Results:
-    """Recompute everything, with so many `draws` of the noise of Table 5 from a `seed`."""
+    """Recompute all tables and figures; `seed` and number of `draws` of the noise in Table 5."""
     rows = {
         "point": working_point(),
         "table1": table_1(),
