@@ -123,8 +123,8 @@ def needed(chosen: np.ndarray, random: np.ndarray) -> float:
     """Share of all further runs after which the chosen ones err no more than the random ones do
     after all of them.
 
-    `chosen` and `random` [runs + 1]: errors after each run, from none on. Interpolated is between
-    two runs, linearly in ln(error). 0 if it holds before any run, infinite if it never does.
+    `chosen` and `random` [runs + 1]: errors after each run, from none on. ln(error) is interpolated
+    between two runs. 0 if it holds before any run, infinite if it never does.
     """
     reached = np.flatnonzero(chosen <= random[-1])
     if not reached.size:

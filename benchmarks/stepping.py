@@ -72,8 +72,8 @@ def runner(name: str, size: int, threads: int) -> Runner:
 
 
 def _held_actions(shape: tuple[int, ...], count: int) -> Any:
-    """Endless float32 actions of a shape: `count` random ones of 0 to 0.8, each `HELD` times, over
-    and over.
+    """Endless iterator of float32 actions of a `shape`: `count` random ones of 0 to 0.8, each
+    `HELD` times in a row, over and over.
     """
     draws = np.random.default_rng(0).uniform(0.0, 0.8, (count, *shape)).astype(np.float32)
     return itertools.cycle(np.repeat(draws, HELD, axis=0))
@@ -102,7 +102,7 @@ def _single(env: Any) -> Runner:
 
 
 def rate(runner: Runner, seconds: float) -> float:
-    """Steps of single environments a second, measured over about so many seconds."""
+    """Steps of single environments a second, measured for at least this number of seconds."""
     steps = 0
     start = time.perf_counter()
     while time.perf_counter() - start < seconds:

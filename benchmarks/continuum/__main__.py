@@ -154,8 +154,9 @@ def _driven(cell: tuple[str, str, float, int], smoke: bool) -> loop.Drive:
 
 
 def _interval(values: Sequence[float], scale: float, digits: int) -> str:
-    """Mean of at least two values times `scale` with its 95 % interval by Student's distribution,
-    "MEAN [LOW, HIGH]", with so many decimals (`digits`).
+    """Text "MEAN [LOW, HIGH]" of at least two `values`, times `scale`, with `digits` decimals.
+
+    LOW and HIGH are the 95 % interval of the mean by Student's distribution.
     """
     of = scale * np.asarray(values)
     half = half_interval(of)

@@ -120,14 +120,12 @@ def piling(cell: tuple[str, float], bed: Bed = TRACK) -> float:
 
 
 def _settling(travel: np.ndarray, end: float, change: float, length: float) -> np.ndarray:
-    """Torque [N m] that comes to `end` from `change` above it, over `travel` [m] with `length`
-    [m].
-    """
+    """Torque [N m] after a `travel` [m]: `end` + `change` exp(-travel/length), `length` in m."""
     return end + change * np.exp(-travel / length)
 
 
 def read(file: Path) -> dict[tuple[float, float], list[str]]:
-    """Cells of each row of a table, by (load [N], slip); {} where there is no such file."""
+    """Cells of each row of a table, by (load [N], slip); {} if the file is missing."""
     if not file.exists():
         return {}
     with file.open(newline="", encoding="utf-8") as stream:

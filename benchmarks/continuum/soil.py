@@ -173,7 +173,7 @@ def cell(x, spacing):
 
 @njit(**FAST)
 def within(x, nodes, spacing):
-    """A coordinate [m], no further than a grid of so many `nodes`: grains that lugs throw stop at
+    """Coordinate `x` [m] cut to a grid with this number of `nodes`: grains that lugs throw stop at
     its edge. NaN becomes the lower end, so that no index is out of range.
     """
     low = (1.0 - EDGE) * spacing

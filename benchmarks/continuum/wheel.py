@@ -234,8 +234,8 @@ class Rig:
         self.wheel.z = self.surface + shape.radius + shape.lug_height + CLEARANCE
 
     def forward(self, seconds: float, command: float = 0.0, by_speed: bool = False) -> None:
-        """Go on for about so many seconds, in whole steps, at least one; `forces` are then the
-        means of that time. `command` and `by_speed` as of `motor_torque`.
+        """Simulate about this time, in whole steps, at least one; `forces` are then the means over
+        it. `command` and `by_speed` as of `motor_torque`.
 
         FloatingPointError where the continuum has become unstable.
         """

@@ -70,7 +70,9 @@ def _agree(path: Path, about: dict, option: str) -> None:
 
 
 def draw(seed: int, folder: Path, name: str) -> None:
-    """Write the case of that name, unless it is there."""
+    """Draw the case `name` of a seed and write it and its truth into the folder of the study,
+    unless it is there.
+    """
     truth = folder / "truth" / f"{name}.json"
     if not truth.exists():
         write_case(draw_case(seed, task_of(name)), folder / "cases" / name, truth)

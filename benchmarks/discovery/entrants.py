@@ -68,9 +68,9 @@ Entrant = Callable[[Path, Path], Answer | Mapping]
 
 
 def entrant(name: str) -> Entrant:
-    """Return the entrant of a name or of module:function.
+    """Return the entrant that `name` stands for: one of `ENTRANTS`, or "module:function".
 
-    Raises `ParameterError` where there is none.
+    Raises `ParameterError` for any other name and for a function that cannot be imported.
     """
     if name in ENTRANTS:
         return ENTRANTS[name]

@@ -222,8 +222,11 @@ def _all(records: list[Record]) -> list[tuple[float, bool]]:
 
 
 def reliability(pairs: list[tuple[float, bool]]) -> dict:
-    """Stated against observed, of pairs (probability, true if it came true): {"of": their number,
-    "bins", "largest" deviation of a well-filled bin, "mean" one}, the last two None of nothing.
+    """Stated probabilities against observed shares: {"of", "bins", "largest", "mean"}.
+
+    `pairs`: (stated probability, true if it came true). "of" is their number, "bins" one entry for
+    each of `BINS` with pairs. "largest" deviation is of bins with `LEAST_IN_BIN` pairs, None without
+    one; "mean" is over all pairs, None without any.
     """
     bins = []
     for low, high in zip(BINS[:-1], BINS[1:], strict=True):
