@@ -59,7 +59,7 @@ class Agent(nn.Module):
 
 
 def make(wheels: int):
-    """Vector environment of so many wheels that resets within a step (SAME_STEP)."""
+    """Vector environment with this number of wheels, which resets within a step (SAME_STEP)."""
     mode = {"vectorization_mode": "vector_entry_point", "autoreset_mode": AutoresetMode.SAME_STEP}
     return gymnasium.make_vec("soil_env:SoilWheel-v0", wheels, **mode)
 
@@ -117,8 +117,9 @@ def update(agent: Agent, optimiser, x, actions, log_probs, gains, returns) -> No
 
 
 def judge(agent: Agent, courses: int) -> tuple[float, float]:
-    """(mean return, share finished) of the policy's mean action over so many other courses, one
-    for each wheel of a vector environment; only its first course counts.
+    """(mean return, share finished) of the policy's mean action over this number of other courses.
+
+    Each wheel of a vector environment drives one; what it does after that does not count.
     """
     envs = make(courses)
     seen, _ = envs.reset(seed=10**6)

@@ -132,8 +132,9 @@ class Recorder:
 
 
 def drive(recorder: Recorder, seed: int, steps: int):
-    """Drive at most so many `steps` of the course of a seed and record them; return (the scenario,
-    the estimate of the environment after each step, as `info["estimate"]`).
+    """Drive the course of a seed for at most `steps` control periods and record the readings.
+
+    Return (the scenario, the estimate of the environment after each step, as `info["estimate"]`).
     """
     env = gymnasium.make(
         "soil_env:SoilWheel-v0", scenario="mixed", action="torque", scaled=False
