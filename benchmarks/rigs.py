@@ -285,11 +285,11 @@ def splits(rig: Rig) -> list[tuple[str, list[tuple[np.ndarray, np.ndarray]]]]:
 
 
 def choose(rigs: list[Rig], starts: int, growths: tuple[float, ...]) -> Law:
-    """The law with which soils of the first fold of the first split of each rig predict its rows
-    best, those of locked wheels left out.
+    """Choose the law with which fitted soils predict the rows of some rigs best.
 
-    Its flow is sought within `FLOWS` for each of the `growths`; its peak is `PEAK`. `starts` as of
-    `fit`.
+    Of each rig a soil is fitted to rows of the first fold of its first split (`splits`), and judged
+    on the predicted rows of that fold that are not locked. The law's flow is sought within `FLOWS`
+    for each of the `growths`; its peak is `PEAK`. `starts` as of `fit`.
     """
 
     def misfit(flow: float, growth: float) -> float:

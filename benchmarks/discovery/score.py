@@ -225,8 +225,8 @@ def reliability(pairs: list[tuple[float, bool]]) -> dict:
     """Stated probabilities against observed shares: {"of", "bins", "largest", "mean"}.
 
     `pairs`: (stated probability, true if it came true). "of" is their number, "bins" one entry for
-    each of `BINS` with pairs. "largest" deviation is of bins with `LEAST_IN_BIN` pairs, None without
-    one; "mean" is over all pairs, None without any.
+    each of `BINS` with pairs. "largest" deviation is of bins with `LEAST_IN_BIN` pairs, None
+    without one; "mean" is over all pairs, None without any.
     """
     bins = []
     for low, high in zip(BINS[:-1], BINS[1:], strict=True):
