@@ -396,7 +396,7 @@ def _define(base: sqlite3.Connection, decoder: _Decoder, kinds: set[str]) -> Non
 
 
 class NotHere(LookupError):
-    """The value is missing in this one message; others may have it."""
+    """Error for a value that is missing in this one message; others may have it."""
 
 
 def parse(field: str, where: str) -> list[str]:
@@ -489,9 +489,10 @@ def uphill(x: float, y: float, z: float, w: float) -> float:
     x, y, z, w are a quaternion of any length; NaN for one of nearly zero length (`_LEAST_NORM`),
     which nobody has set.
     """
-    norm = x * x + y * y + z * z + w * w
+    norm = x * x + y * y + z * z + w * w  # squared length
     if norm < _LEAST_NORM:
         return math.nan
+    # Minus: y is to the left, so a positive rotation about it is nose down.
     return -math.asin(min(max(2.0 * (w * y - z * x) / norm, -1.0), 1.0))
 
 

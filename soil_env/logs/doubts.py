@@ -74,7 +74,9 @@ def time_doubts(interval: float, length: float, stamps: TimeColumn) -> list[str]
 
 
 def doubts(log: Aligned, log_map: LogMap) -> list[str]:
-    """A line for each reading that looks like another unit, sign or field."""
+    """Doubts on the readings of a log: a line for each that looks like another unit, sign, field or
+    wheel than the map says.
+    """
     return _Doubts(log, log_map).lines
 
 
