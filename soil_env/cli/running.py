@@ -144,7 +144,7 @@ def _stoppable(received: list[int]) -> Iterator[None]:
     report = sys.unraisablehook
 
     def stop(number: int, frame: FrameType | None) -> None:
-        """Handler of both signals."""
+        """Handler of both signals: keep the number and raise the interrupt."""
         received.append(number)
         raise KeyboardInterrupt
 
@@ -208,7 +208,7 @@ def console(width: int = 100) -> Console:
 
 
 class WholeNumber(click.ParamType):
-    """A whole number from `least` to `most`, also written as 1e6."""
+    """Type of an option: a whole number from `least` to `most`, also written as 1e6."""
 
     name = "N"
 
@@ -232,7 +232,7 @@ class WholeNumber(click.ParamType):
 
 
 class FilePath(click.ParamType):
-    """A path that is not empty."""
+    """Type of an option or argument: a path that is not empty."""
 
     name = "PATH"
 
