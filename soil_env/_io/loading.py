@@ -325,7 +325,10 @@ def _convert(hint, value, where: str):
 
 
 def truth(value: object, where: str) -> bool:
-    """`value` as Python's bool; `ParameterError`, with the place `where`, for anything else."""
+    """`value`, a truth value of Python or numpy, as Python's bool.
+
+    `ParameterError`, with the place `where`, for anything else.
+    """
     if not isinstance(value, (bool, np.bool_)):
         raise ParameterError(f"{where} = {value!r:.60}: expected True or False")
     return bool(value)
@@ -476,7 +479,8 @@ for _kind in ("int", "float"):
 def parse_yaml(text: str):
     """The value that a YAML text stands for, None for an empty text.
 
-    `yaml.YAMLError` for any fault, also one for which the library raises another error.
+    `yaml.YAMLError` for a text that is no YAML or that `_Strict` refuses. A ValueError, an
+    OverflowError and a RecursionError of the library become one.
     """
     try:
         return yaml.load(text, _Strict)  # a SafeLoader
