@@ -389,7 +389,9 @@ def sinkages(soil: ArrayLike, slip: np.ndarray, e: Equations) -> np.ndarray:
 
 
 def torque(soil: ArrayLike, e: Equations) -> np.ndarray:
-    """Torque required [N m] at `SLIPS` by (1) and (3), integrated exactly."""
+    """Torque required [N m] at each of `SLIPS` by (1) and (3), integrated exactly, on a soil
+    (phi [deg], K [m], S).
+    """
     e = e._replace(simpson=0)
     return forces(soil, SLIPS, sinkages(soil, SLIPS, e), e)[:, 2]
 
