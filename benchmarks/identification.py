@@ -83,7 +83,7 @@ SUBSETS = {
 
 
 class Case(NamedTuple):
-    """Drive of a row."""
+    """A row: a scenario, an effect in its world, and how it is driven."""
 
     scenario: str
     world: str  # of configs/worlds or `RUTS`; "" for the laws of the identifier

@@ -245,7 +245,9 @@ def fit(rig: Rig, rows: np.ndarray, law: Law, starts: int) -> np.ndarray:
     scale = rig.scale[rows]
 
     def residuals(x: np.ndarray) -> np.ndarray:
-        """Errors of what was measured over `Rig.scale`, then unknowns over their priors."""
+        """Errors of what was measured over `Rig.scale`, then deviations of the unknowns from their
+        prior means over the prior sds.
+        """
         misfit = (predict(x, rig, rows, law) - rig.measured[rows]) / scale
         return np.concatenate([misfit[np.isfinite(misfit)], (x - mean) / sd])
 

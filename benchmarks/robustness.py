@@ -72,7 +72,7 @@ TEXT = (
 
 
 class Case(NamedTuple):
-    """What is changed in a row."""
+    """A row: what is changed, one of the fields at most; none is the scenario as shipped."""
 
     error: str = ""  # of `ERRORS`
     dead: str = ""  # of `SENSORS`

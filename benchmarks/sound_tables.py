@@ -67,7 +67,7 @@ PRIORS: tuple[dict[str, float], ...] = (
 
 @dataclass(frozen=True, eq=False)
 class Sound:
-    """A table by column [N], and its setup."""
+    """A synthetic table by column [N], and its setup; sound, or with a mistake (`MISTAKES`)."""
 
     columns: dict[str, np.ndarray]
     setup: Setup
@@ -75,7 +75,7 @@ class Sound:
     wrong_row: int = 0  # line of the file, 0 if none is wrong
 
     def table(self) -> Table:
-        """The table as it is read from a file."""
+        """The table as `read_table` reads it from a file, with seven digits of each value."""
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "data.csv"
             rows = np.stack([*self.columns.values()], axis=1)

@@ -43,7 +43,7 @@ VARIANT = "blind"
 
 
 class Drive(NamedTuple):
-    """What came of a drive."""
+    """Outcome of a drive of `SECONDS`."""
 
     slip: float  # [-] mean of the second half
     distance: float  # [m]

@@ -28,7 +28,7 @@ DISORDER = 0.15  # [of the spacing of particles] that these are off a regular gr
 
 
 class Material(NamedTuple):
-    """A soil."""
+    """A soil of the continuum: elasticity up to a strength, see the module's docstring."""
 
     friction: float  # [-] tangent of the friction angle in direct shear
     cohesion: float = 0.0  # [Pa]
@@ -96,7 +96,7 @@ class Grid(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What every step of a bed needs."""
+    """Constants of the time steps of a bed."""
 
     time: float  # [s] length of the step
     spacing: float  # [m] of the grid

@@ -143,7 +143,7 @@ def command() -> None:
 
 
 def _of_cases(work: Callable) -> Callable:
-    """Add the options of both subcommands: folders, and the cases that are chosen."""
+    """Decorator: add the options of both subcommands, for folders and the choice of cases."""
     options = (
         click.option(
             "--out",

@@ -24,12 +24,15 @@ VERDICTS = ("named", "partly", "ambiguous", "unlisted", "none", "undetermined", 
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer of an entrant to a table. Raises `ParameterError` for unknown names.
+    """Answer of an entrant to a table.
+
+    Raises `ParameterError` for an unknown verdict or name, and for a probability out of [0, 1].
 
     `verdict`: one of `VERDICTS`. `named`: the mechanisms that are there, the surest first; empty
     where the verdict is unlisted, none or undetermined. `alternatives`: those that look like the
     named ones. `beside`: those that may be there as well. `probabilities`: of each mechanism to
-    be in the table; those left out count as 0. Names are those of the catalogue.
+    be in the table; those left out count as 0. Mechanisms are those of `NAMES`. `note`: any text,
+    such as that of an error.
     """
 
     verdict: str

@@ -28,7 +28,7 @@ CALIBRATED = {"largest": 0.10, "mean": 0.03}  # deviation of stated probabilitie
 
 
 class Record(NamedTuple):
-    """Case with its answer."""
+    """A case with the answer of an entrant to it."""
 
     truth: dict  # content of its truth.json
     answer: Answer
@@ -89,7 +89,7 @@ def wrong(r: Record) -> bool:
 
 
 class Target(NamedTuple):
-    """Share that is asked of an entrant."""
+    """Share of the cases of a kind that is asked of an entrant, or that it must not exceed."""
 
     key: str  # in discovery.json
     words: str  # in the table
@@ -171,7 +171,7 @@ TARGETS = (
 
 
 def targets(records: Iterable[Record]) -> dict[str, dict]:
-    """Share of each target that has cases."""
+    """{key of a target: `share` of its cases in which `Target.value` is true}, if it has cases."""
     records = list(records)
     found = {
         t.key: share(t.value(r) for r in records if r.truth["kind"] == t.kind) for t in TARGETS
@@ -255,7 +255,10 @@ def reliability(pairs: list[tuple[float, bool]]) -> dict:
 
 
 def read_records(folder: Path, label: str, names: Iterable[str]) -> list[Record]:
-    """Return the answered cases among the names. Raises `ParameterError` for a damaged file."""
+    """Read the cases among `names` that have an answer of the entrant `label` in a study's folder.
+
+    Raises `ParameterError` for a damaged file.
+    """
     out = []
     for name in names:
         file = folder / "answers" / label / f"{name}.json"
