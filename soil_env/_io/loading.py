@@ -479,14 +479,15 @@ for _kind in ("int", "float"):
 def parse_yaml(text: str):
     """The value that a YAML text stands for, None for an empty text.
 
-    `yaml.YAMLError` for a text that is no YAML or that `_Strict` refuses. A ValueError, an
-    OverflowError and a RecursionError of the library become one.
+    `yaml.YAMLError` for a text that is no YAML or that `_Strict` refuses. Other errors of the
+    library become one: of impossible numbers and dates, of tags on a value of another kind.
     """
     try:
         return yaml.load(text, _Strict)  # a SafeLoader
     except RecursionError:
         raise yaml.YAMLError(_TOO_MUCH) from None
-    except (ValueError, OverflowError) as error:  # a day 2001-99-99, a number of 5000 digits
+    # a day 2001-99-99, a number of 5000 digits, !!int [], !!bool x
+    except (ValueError, OverflowError, LookupError, AttributeError, TypeError) as error:
         raise yaml.YAMLError(f"{type(error).__name__}: {error}") from None
 
 

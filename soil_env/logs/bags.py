@@ -73,7 +73,8 @@ def bag_files(path: Path) -> list[Path]:
         with suppress(ParameterError):
             about = read_yaml(path / "metadata.yaml").get("rosbag2_bagfile_information")
             named = about.get("relative_file_paths") if isinstance(about, dict) else None
-            found = [path / Path(str(name)).name for name in named or []]
+            listed = named if isinstance(named, list) else []
+            found = [path / Path(str(name)).name for name in listed]
     # packed files too, which are refused
     found = found or [f for f in inside if not set(SUFFIXES).isdisjoint(f.suffixes)]
     for file in found:
@@ -192,17 +193,17 @@ class _Decoder:
 def _unpacked(data: bytes) -> bytes:
     """The bytes of a message, unpacked if zstd compressed them; CDR itself begins with a zero.
 
-    ValueError for a message that unpacks to more than `_MOST_MESSAGE` by its header, and for one
-    whose header does not state the size.
+    ValueError for a message that unpacks to more than `_MOST_MESSAGE` by its header; one whose
+    header does not state the size may unpack to as much (`zstandard.ZstdError`).
     """
     if data[:4] != _ZSTD:
         return data
     import zstandard
 
     size = zstandard.get_frame_parameters(data).content_size
-    if size > _MOST_MESSAGE:
+    if _MOST_MESSAGE < size < zstandard.CONTENTSIZE_UNKNOWN:
         raise ValueError(f"unpacks to more than {_MOST_MESSAGE} bytes")
-    return zstandard.decompress(data)
+    return zstandard.ZstdDecompressor().decompress(data, max_output_size=_MOST_MESSAGE)
 
 
 def _mcap_records(file: Path, notes: Notes) -> Iterator[Any]:

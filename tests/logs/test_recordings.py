@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from soil_env import ParameterError
-from soil_env.logs import read_map, read_recording, replay
+from soil_env.logs import bags, read_map, read_recording, replay
 from tests.logs.bags import MAP, example, write_json_mcap, write_map, write_mcap
 from tests.refusals import refused
 
@@ -95,7 +95,9 @@ def test_a_bag_of_several_files_with_and_without_metadata(tmp_path):
     (folder / "metadata.yaml").write_text(json.dumps(many))
     assert np.array_equal(read(folder).readings["speed"], log.readings["speed"])
     (folder / "a_1.mcap.zstd").write_bytes(b"")
-    for text in (json.dumps(named).replace("a_1.mcap", "a_1.mcap.zstd"), "[", ""):
+    no_list = {"rosbag2_bagfile_information": {"relative_file_paths": 5}}
+    no_list = json.dumps(no_list), json.dumps(no_list).replace("5", '"z_0.mcap"')
+    for text in (json.dumps(named).replace("a_1.mcap", "a_1.mcap.zstd"), "[", "", *no_list):
         (folder / "metadata.yaml").write_text(text)
         (folder / "a_1.mcap").unlink(missing_ok=True)
         with pytest.raises(ParameterError, match="a_1.mcap.zstd: is compressed as a whole"):
@@ -122,6 +124,15 @@ def test_messages_that_are_compressed_one_by_one(tmp_path):
     found = read(tmp_path / "b", code["CHANNELS"] | {"sinkage": None})
     for name, values in found.readings.items():
         assert values == pytest.approx(np.full(7, reading[name])), name
+
+
+def test_a_packed_message_may_lack_its_size():
+    """As one that was packed in a stream; not where it is larger than a message may be."""
+    zstandard = pytest.importorskip("zstandard")
+    packer = zstandard.ZstdCompressor(write_content_size=False)
+    assert bags._unpacked(packer.compress(b"abc" * 99)) == b"abc" * 99
+    with pytest.raises(zstandard.ZstdError):
+        bags._unpacked(packer.compress(bytes(bags._MOST_MESSAGE + 1)))
 
 
 def test_csv_and_parquet_give_what_the_bag_gives(drives, tmp_path):

@@ -84,7 +84,8 @@ def _from_class(spec: str, name: str, scenario: Scenario, settings: dict):
     made_with = getattr(thing, "settings", settings)
     if not (isinstance(made_with, dict) and all(isinstance(x, Real) for x in made_with.values())):
         raise ParameterError(
-            f"controllers: {spec}: settings = {made_with!r:.60}: expected a mapping of names to numbers"
+            f"controllers: {spec}: settings = {made_with!r:.60}: expected a mapping of names to "
+            "numbers"
         )
     return _Wrapped(thing, variant, spec, getattr(scenario, "axles", 1), settings)
 
