@@ -3,6 +3,7 @@
 import copy
 import math
 import pickle
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from soil_env.envs.wheel_env import SoilWheelEnv
 from soil_env.online import Observer, OnlineIdentifier, Readings
 from soil_env.parameters import ParameterError, load_rover, load_scenario
 from soil_env.readings import Image
+from tests.refusals import refused
 
 #: All readings but those of slip, which follows from the two speeds, of the wheel speed and time.
 MEASURED = Readings._fields[1:6] + ("pitch", "motor_torque", "acceleration")
@@ -156,6 +158,14 @@ def test_what_cannot_be_is_refused_in_one_line():
     with pytest.raises(ParameterError, match="expected none"):
         Observer(load_scenario("mixed")).observe(
             Readings(2.0, 0.27), image=Image(*(0.0,) * len(Image._fields))
+        )
+    image = Image(0.0, 0.5, 1.0, 1.0, 1.0, 1.0, 2.0, 0.0, 1.0, 2.0, 0.0, 0.0)
+    observer.observe(Readings(2.0, 0.27), image=image)
+    for name, value in (("here", 50.0), ("label_0", 3.0), ("label_1", 0.5), ("lines", 3.0)):
+        wrong = partial(observer.observe, image=image._replace(**{name: value}))
+        refused(
+            partial(wrong, Readings(2.0, 0.27)),
+            f"image.{name} = {value:g}: expected a whole number",
         )
     mixed = Observer(load_scenario("mixed"))
     for readings, error, said in (

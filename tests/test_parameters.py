@@ -183,7 +183,7 @@ def test_a_line_touches_curved_strength(stress):
         ),
         (
             "scenario",
-            {"belief": {"friction_cohesion": 0.9, "friction_stiffness": 0.9}},
+            {"belief": {"soils": {}, "friction_cohesion": 0.9, "friction_stiffness": 0.9}},
             ["belief", "correlations"],
         ),
         ("scenario", {"course": {"border": 2.0}}, ["border", "shortest patch"]),

@@ -15,7 +15,7 @@ import types
 import typing
 from collections.abc import Iterable, Sequence
 from dataclasses import field
-from decimal import Context
+from decimal import MAX_EMAX, Context
 from pathlib import Path
 
 import numpy as np
@@ -85,11 +85,14 @@ def _of_python(value: typing.Any) -> typing.Any:
 
 def said(value: object) -> str:
     """A value as an error writes it: its `repr`, but a whole number beyond `_MOST_SHOWN` rounded to
-    six digits.
+    six digits. Of values with one of thousands of digits in them, which has no `repr`, their type.
     """
     if type(value) is int and abs(value) > _MOST_SHOWN:
-        return f"{Context(prec=6).create_decimal(value).normalize():e}"
-    return repr(value)
+        return f"{Context(prec=6, Emax=MAX_EMAX).create_decimal(value).normalize():e}"
+    try:
+        return repr(value)
+    except ValueError:
+        return f"{type(value).__name__} with a number of thousands of digits"
 
 
 def _bound(x: float) -> str:
@@ -244,7 +247,9 @@ def load(cls, mapping, where: str = ""):
     where = where or cls.__name__
     names = {f.name: f for f in dataclasses.fields(cls) if f.init}
     if not isinstance(mapping, dict):
-        raise ParameterError(f"{where}: expected a mapping of {', '.join(names)}, got {mapping!r}")
+        raise ParameterError(
+            f"{where}: expected a mapping of {', '.join(names)}, got {said(mapping)}"
+        )
     hints = _hints(cls)
     for key in mapping:
         if key not in names:
@@ -292,7 +297,7 @@ def _convert(hint, value, where: str):
     def expect(right: bool, what: str) -> None:
         """Raise `ParameterError`, with `what` was expected, unless the value is `right`."""
         if not right:
-            raise ParameterError(f"{where} = {value!r}: expected {what}")
+            raise ParameterError(f"{where} = {said(value)}: expected {what}")
 
     if origin in (typing.Union, types.UnionType):  # X | None
         known = next(item for item in items if item is not type(None))

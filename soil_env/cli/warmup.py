@@ -4,7 +4,6 @@ examples use.
 For an image, or before many processes start at once.
 """
 
-import gc
 import multiprocessing
 import time
 from collections.abc import Callable
@@ -39,7 +38,9 @@ def command() -> None:
     """
     start = time.perf_counter()
     workers = min(len(PARTS), processors())
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin) as pool:
+    with ProcessPoolExecutor(
+        workers, multiprocessing.get_context("spawn"), end_with_parent
+    ) as pool:
         done = {pool.submit(part): name for name, part in PARTS.items()}
         try:
             for future in as_completed(done):
@@ -52,25 +53,15 @@ def command() -> None:
     print(f"ready after {time.perf_counter() - start:.0f} s; {place()}")
 
 
-def _begin() -> None:
-    """Prepare a worker process: it ends with its parent and collects no garbage."""
-    end_with_parent()
-    # Numba's compiler makes many objects and leaves few cycles: looking for these takes time only.
-    gc.disable()
-
-
 #: Options of an environment in which nothing is identified.
 BLIND: dict[str, Any] = {"observation": "blind", "belief": {"method": "none"}}
-
-
-_ACTION = 0.4  # of every step; any that is not 0 would do
 
 
 def _drive(env_id: str, **options: Any) -> None:
     """Make an environment with these options, reset it, make a step and draw a picture."""
     env = gymnasium.make(env_id, render_mode="rgb_array", **options)
     env.reset(seed=0)
-    env.step(np.full(env.action_space.shape, _ACTION, np.float32))
+    env.step(env.action_space.sample())  # any would do
     env.render()
     env.close()
 
@@ -80,7 +71,7 @@ def _drive_wheels(**options: Any) -> None:
     _drive("SoilWheel-v0", **options)
     envs = SoilWheelVectorEnv(64, **options)
     envs.reset(seed=0)
-    envs.step(np.full((64, 1), _ACTION, np.float32))
+    envs.step(envs.action_space.sample())
     envs.simulation.true_soils()
     envs.close()
 

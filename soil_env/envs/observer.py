@@ -96,7 +96,7 @@ class Observer:
     its last value in the observation, and the identifier takes it as not measured. Before the first
     value stands what `OnlineIdentifier` puts there, and 0 for a speed. While a speed is not known,
     the estimate stays. `held` counts readings that kept a value since the last `reset`, by their
-    name in a `SensorReading`.
+    name in a `SensorReading`, and images by `image`.
 
     Raises ParameterError for the scenario of a rover, for a belief of the method "none", and for
     another variant.
@@ -187,9 +187,10 @@ class Observer:
     def _read_image(self, image: Image | None) -> None:
         """Store an image for the observation, on courses with terrain classes.
 
-        Without one, or with one that is not finite, the last stays; the latter counts as held.
-        TypeError for anything but an `Image`. ParameterError for an image without terrain classes,
-        and with them where there has been none.
+        Without one, as cameras are slower than the control, the last stays, and so with one that
+        is not finite, which counts as held. TypeError for anything but an `Image`. ParameterError
+        for an image where the scenario has no terrain classes, for one with a class or route that
+        there is not, and for no finite image so far where the scenario has classes.
         """
         if not self.scenario.course.classes:
             if image is not None:
@@ -201,6 +202,7 @@ class Observer:
             if not isinstance(image, Image):
                 raise TypeError(f"image = {image!r:.80}: expected an Image of soil_env.readings")
             if all(map(math.isfinite, image)):
+                _check_image(image, self.scenario.course.classes)
                 self._image = image
             else:
                 self.held["image"] = self.held.get("image", 0) + 1
@@ -258,3 +260,16 @@ class Observer:
         board["warning"]["shares"] = shares_of(period)
         self._setting["task"]["period"] = period
         self._setting["rig"]["rim_step"] = self._change * period
+
+
+def _check_image(image: Image, classes: int) -> None:
+    """ParameterError for an image with a label that is none of so many `classes`, or a route or
+    number of routes that there is not.
+    """
+    counts = dict.fromkeys(("here", "label_0", "label_1"), classes) | {"lines": 3, "taken": 2}
+    for name, count in counts.items():
+        value = getattr(image, name)
+        if value not in range(count):
+            raise ParameterError(
+                f"image.{name} = {value:g}: expected a whole number from 0, below {count}"
+            )

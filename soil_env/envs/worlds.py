@@ -45,8 +45,7 @@ def with_model(
         return scenario
     low, high = model.validity.get("load", (0.0, math.inf))
     if not (1.0 - NEAR) * low <= scenario.weight <= (1.0 + NEAR) * high:
-        load = math.sqrt(low * high) if low > 0.0 else high
-        mass = load / scenario.gravity  # [kg] of a wheel
+        mass = (math.sqrt(low * high) or high) / scenario.gravity  # [kg] of a wheel
         rover = isinstance(scenario, RoverScenario)
         of_rover = f"vehicle.mass = {2 * scenario.axles * mass:.3g}" if rover else ""
         wanted = of_rover or f"wheel.body_mass = {mass:.3g}"

@@ -35,6 +35,7 @@ _MOST_MESSAGE = 2**26  # [bytes] unpacked, of a message of which a number is rea
 _MOST_WORK = (10_000_000, 10)
 _WORK_STEP = 100_000  # instructions between two counts
 _LEAST_TEXT = 10_000  # [bytes] of a text or blob that SQLite may make of a file however small
+_MOST_TEXT = 1_000_000_000  # [bytes] the same of a file however large: the limit of SQLite itself
 _BETWEEN_REPORTS = 64  # rows of a .db3 file, between two reports of progress
 _STEP = r"[A-Za-z_]\w*(\[[^\[\]]+\])*"  # of a path into a message
 _PATH = re.compile(rf"{_STEP}(\.{_STEP})*")
@@ -74,7 +75,7 @@ def bag_files(path: Path) -> list[Path]:
             about = read_yaml(path / "metadata.yaml").get("rosbag2_bagfile_information")
             named = about.get("relative_file_paths") if isinstance(about, dict) else None
             listed = named if isinstance(named, list) else []
-            found = [path / Path(str(name)).name for name in listed]
+            found = [path / name for name in dict.fromkeys(Path(str(n)).name for n in listed)]
     # packed files too, which are refused
     found = found or [f for f in inside if not set(SUFFIXES).isdisjoint(f.suffixes)]
     for file in found:
@@ -345,10 +346,13 @@ def _sqlite(file: Path, wanted: set[str], notes: Notes, decoder: _Decoder) -> It
 def _guard(base: sqlite3.Connection, size: int) -> None:
     """Let a connection only read, and bound the memory and work that a crafted file can ask for.
 
-    Text and blobs are at most as long as the file (`size` [bytes]), instructions at most
-    `_MOST_WORK`. SQLite ends a query beyond that with an error of its own.
+    Text and blobs are at most as long as the file (`size` [bytes]), or `_LEAST_TEXT` if that is
+    more; instructions at most `_MOST_WORK`. SQLite ends a query beyond that with an error of its
+    own.
     """
-    base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(size, _LEAST_TEXT))
+    longest = min(max(size, _LEAST_TEXT), _MOST_TEXT)
+    base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, longest)
+    # text that is no UTF-8 does not stop the query
     base.text_factory = lambda text: text.decode("utf-8", "replace")
     base.execute("PRAGMA query_only = ON")
     base.execute("PRAGMA trusted_schema = OFF")

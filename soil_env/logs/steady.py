@@ -67,8 +67,8 @@ class Steady:
         """Reason for which the points are no measurement table; empty where they are one."""
         if not self.rows:
             return (
-                "no window of the log is steady enough (windows in map.yaml) and has sinkage, "
-                "pull or torque"
+                "no window of the log is steady enough (windows in map.yaml), away from borders, "
+                "and has a load above 0 with sinkage, pull or torque"
             )
         slip = [row["slip"] for row in self.rows]
         if max(slip) - min(slip) < _LEAST_SPREAD:

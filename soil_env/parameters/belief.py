@@ -8,7 +8,7 @@ from soil_env._io.loading import Checked, Keys, ParameterError, quantity
 
 from .soil import MOST_FLOW, MOST_PEAK, SoilSpread, correlation, correlation_factor
 
-#: Fields of `Belief` that have no effect where its `soils` names a library.
+#: Fields of `Belief` that a library replaces where its `soils` names one.
 _PRIOR = (
     "friction_angle_deg",
     "friction_sd_deg",
@@ -20,6 +20,9 @@ _PRIOR = (
     "cohesion_sd",
     "sinkage_exponent_sd",
     "dig_gain_sd",
+    "friction_cohesion",
+    "friction_stiffness",
+    "stiffness_shear_modulus",
 )
 
 
@@ -98,8 +101,8 @@ def refuse_idle_prior(belief: Keys, where: str, changes: Iterable[str] = ()) -> 
     """Raise `ParameterError` if a mapping of `Belief` names soils and also numbers of the prior,
     which are without effect beside soils.
 
-    A mapping saved from a `Belief` has all fields, so a number that is its default passes. In
-    `changes`, the names that a user gave, it does not. The message begins with `where` and names
+    A mapping saved from a `Belief` has all fields, so a number equal to its default passes, unless
+    the user gave it by name (`changes`). The message begins with `where` and names
     the first of the refused numbers.
     """
     idle = [

@@ -63,7 +63,10 @@ class Canvas:
         self._large = pygame.Surface((2 * SIZE[0], 2 * SIZE[1]), 0, 32)
         self._surface = pygame.Surface(SIZE, 0, 32)
         self._font = functools.cache(functools.partial(pygame.font.Font, None))  # by height [px]
-        self._written = functools.lru_cache(400)(self._write)
+        # pictures of words by size [px] and colour, the last ones: most return in the next frame
+        self._written = functools.lru_cache(400)(
+            lambda words, size, colour: self._font(size).render(words, True, colour)
+        )
         self._texts: list[tuple[pygame.Surface, np.ndarray]] = []  # with their places
 
     def _at(self, points):
@@ -146,10 +149,6 @@ class Canvas:
         image = self._written(words, size, colour)
         place = np.array([x, y]) - np.multiply(image.get_size(), (align, 0.5))
         self._texts.append((image, place.round()))
-
-    def _write(self, words: str, size: int, colour: Colour) -> "pygame.Surface":
-        """Picture of words; `_written` keeps the last ones, since most return in the next frame."""
-        return self._font(size).render(words, True, colour)
 
     def finish(self) -> "pygame.Surface":
         """The finished picture as a surface, which the next picture overwrites."""

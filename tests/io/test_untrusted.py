@@ -47,6 +47,8 @@ YAMLS = {
     "a name": ("!!python/name:os.system", "could not determine a constructor"),
     "no date": ("wheel: 2001-99-99", "month must be in"),
     "a long number": ("gravity: " + "9" * 5000, "not valid YAML"),
+    "a long number of hex digits": ("gravity: 0x" + "F" * 4000, "x.yaml"),
+    "such a number in a list": ("gravity: [0x" + "F" * 4000 + "]", "x.yaml"),
     "no number": ("gravity: !!int abc", "invalid literal"),
     "no text of a number": ("gravity: !!int ''", "IndexError"),
     "a list as a number": ("gravity: !!float []", "not valid YAML"),

@@ -129,12 +129,6 @@ def ends_point(point, reading, error, wanted, setting):
 
 
 @compiled
-def _weighs(reading, setting):
-    """True if the load of a reading was measured: its white noise is below the weight."""
-    return setting.white[0].load <= setting.weight
-
-
-@compiled
 def weigh(memory, reading, setting):
     """Renew the mass [kg] on the wheel by a reading of the load; before the first it is the body's.
 
@@ -143,7 +137,7 @@ def weigh(memory, reading, setting):
     """
     if memory.mass == 0.0:
         memory.mass = setting.weight / setting.gravity
-    if not _weighs(reading, setting) or reading.load < LIFTED * setting.weight:
+    if setting.white[0].load > setting.weight or reading.load < LIFTED * setting.weight:
         return
     memory.weighings += 1.0
     share = 1.0 / memory.weighings
@@ -259,7 +253,7 @@ def collect(point, memory, reading, error, turned, setting):
     point.torque += torque / variance
     point.torque_weight += 1.0 / variance
     point.motor += share / variance
-    if _weighs(reading, setting):
+    if setting.white[0].load <= setting.weight:  # it was measured
         point.load += reading.load
         point.loads += 1.0
     point.cos_pitch += math.cos(reading.pitch)

@@ -660,7 +660,7 @@ def _not_modelled(problem: TableProblem) -> list[str]:
             left_out,
             f"Left out {left_out} of {len(table)} rows, with one force alone and no sinkage.",
         ),
-        (unseen, f"No sinkage in {unseen} of {len(table)} rows: it follows from the load there."),
+        (unseen, f"No sinkage in {unseen} of {used.sum()} rows: it follows from the load there."),
         (
             np.any(table.passes[used] > 1),
             "Rows with pass > 1 are taken as fresh soil, since the base model has no compaction by "
