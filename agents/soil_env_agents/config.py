@@ -156,11 +156,12 @@ class TrainConfig(OfWorld):
     ppo: PPOConfig = PPOConfig()
 
     def _check_together(self) -> None:
-        """Fill in the scenario and the oracle's courses: for None up to 50, of a rover none.
+        """Fill in the scenario, and for None the oracle's courses: 50, or all that are compared if
+        these are fewer, and none of a rover.
 
         FieldError for a scenario or courses of the oracle beside a rover, and for more courses of
-        the oracle than are compared. The same where no wheel is left in the world without a hidden
-        effect.
+        the oracle than are compared. The same where the hidden worlds leave no wheel for the world
+        without an effect.
         """
         beside = f"expected none beside rover = {self.rover!r}"
         if self.rover and self.scenario:

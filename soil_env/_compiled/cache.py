@@ -209,7 +209,8 @@ class Kept:
         self._function = _compiled(self.py_func, self._folder)
 
     def _write_checksums(self) -> None:
-        """Write the checksums of the function's files if there are versions since the last time.
+        """Write the checksums of the function's files if versions were compiled or loaded since the
+        last call. The caller holds the lock (`_alone`).
 
         Where they cannot be written, the next process takes the files for damaged.
         """

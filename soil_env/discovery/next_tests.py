@@ -513,6 +513,7 @@ def _rim_speed(speed: np.ndarray, slip: np.ndarray) -> float:
     rims = speed[of_rim > 0.0] / of_rim[of_rim > 0.0]
     rim = np.median(rims)
     one = np.allclose(speed, rim * of_rim, rtol=_SAME_RIM)
+    # of few slips that are alike both speeds seem constant
     varies_less = np.ptp(rims) * np.median(speed) < np.ptp(speed) * rim
     return float(rim) if one and varies_less else math.nan
 

@@ -26,17 +26,17 @@ _EXACT = SoilSpread(
 def with_model(
     scenario: Any, model: WheelSoilModel | None, scatter: object, changes: Mapping[str, Any]
 ) -> Any:
-    """The scenario with radius, width, tyre and grip of the model, and its soil alone, if it has
-    one. `changes`: the keyword arguments that the scenario was changed by.
+    """The scenario with radius, width, tyre and grip of the model, and with the model's soil as the
+    only one, if the model has one. `changes`: keyword arguments that the scenario was changed by.
 
-    Mass and drive stay those of the scenario, behind a gear that keeps force and speed of the rim,
-    but for numbers in `changes["wheel"]`, which are taken as they are. A soil of the model does not
-    scatter. The spread of the scenario then moves into the belief, so that the prior of the
+    Mass and drive stay those of the scenario, behind a gear that keeps force and speed of the rim.
+    Numbers in `changes["wheel"]` are taken as they are, those of tyre and grip too. A soil of the
+    model does not scatter. The spread of the scenario then moves into the belief, so that the prior of the
     identifier stays.
 
     Without a model, or with `scatter`, the scenario stays as it is; with `scatter` its spread is
-    about the soil of the model. Warns (`OutsideValidity`) of a weight on the wheel beyond the loads
-    that the model was fitted to. Raises ParameterError for `scatter` without a model, a radius or
+    about the soil of the model. Warns (`OutsideValidity`) of a weight on the wheel, without payload,
+    that is by more than `NEAR` beyond the loads that the model was fitted to. Raises ParameterError for `scatter` without a model, a radius or
     width in `changes` that is not the model's, and a wheel or soil that the scenario cannot have.
     """
     if truth(scatter, "scatter") and model is None:

@@ -58,8 +58,8 @@ class Message(NamedTuple):
 
 
 def bag_files(path: Path) -> list[Path]:
-    """Files of a bag in the order of recording: as metadata.yaml lists them, whatever folders it
-    names, else by name.
+    """Files of a bag: in the order of recording, as metadata.yaml lists them, whatever folders it
+    names; without that by name, which need not be the order of recording.
 
     A recording that was killed has no metadata.yaml, and one that cannot be read counts as none.
     Files that it lists may be missing.
@@ -98,7 +98,8 @@ def check_packed(file: Path) -> None:
 
 
 def messages(wanted: set[str], notes: Notes, definitions: Mapping[str, str]) -> Iterator[Message]:
-    """Yield the messages on the topics `wanted` of a bag, at `notes.path`, in recorded order.
+    """Yield the messages on the topics `wanted` of a bag, at `notes.path`, file by file in the order
+    of `bag_files`, within a file as they are stored.
 
     The path is the folder of the bag or one of its files; a file that is missing is noted.
     `definitions`: text of .msg files by message type. `notes` receives all topics of the bag, the

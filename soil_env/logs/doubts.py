@@ -140,16 +140,18 @@ class _Doubts:
         ]
 
     def _speeds(self) -> bool:
-        """Compare rim speed, travel speed and slip; add the first doubt, True if there is none.
+        """Compare rim speed, travel speed and slip: add the first doubt found, and return True if
+        there is none.
 
         Compared are first the sizes of the two speeds (`_wrong_ratio`), then their directions, then
-        the slip with that of the speeds. Nothing is doubtful where fewer than `_LEAST` steps have
-        both speeds.
+        the slip with that of the speeds. Nothing is doubtful where fewer than `_LEAST` steps drive
+        with both speeds.
         """
         rim = self.rim
         speed = self.speed
         both = self.drives & ~np.isnan(rim + speed)
         moves = both & (np.abs(speed) > self.slowest)
+        # if they are enough, steps in which the wheel travels: a stuck one shows no ratio
         both = moves if moves.sum() >= _LEAST else both
         if both.sum() < _LEAST:
             return True

@@ -64,7 +64,7 @@ class Steady:
 
     @property
     def reason(self) -> str:
-        """Reason for which the points are no measurement table; empty where they are one."""
+        """Why the points cannot serve as a measurement table; "" where they can."""
         if not self.rows:
             return (
                 "no window of the log is steady enough (windows in map.yaml), away from borders, "

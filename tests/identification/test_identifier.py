@@ -76,16 +76,20 @@ def test_exact_readings_of_varied_slip_give_the_soil(scenario):
 
 
 def test_what_is_published_is_the_soil_at_the_bearing_sinkage():
-    """Means and standard deviations by draws of the posterior, S as it bears the wheel here; as
-    much wider for each quantity.
+    """Means and standard deviations by draws of the posterior; S is that which gives the same
+    pressure at the bearing sinkage.
+
+    Published standard deviations are `WIDER` times those of the draws, but where they are cut to
+    that of the prior, of two quantities at most.
     """
     wheel = Identified(PLAIN)
     readings = driven(NEAR, SLIPS, PLAIN)
     wheel.observe(readings)
     last = readings[-1]
     *_, ln_s = reactions(NEAR, last.sinkage, last.slip, last.load)
-    deeper = (ln_s - math.log(NEAR.sinkage_coefficient)) / NEAR.sinkage_exponent
-    bearing = last.sinkage * math.exp(deeper)
+    # z_b = z (s/S)^(1/n)
+    ln_ratio = (ln_s - math.log(NEAR.sinkage_coefficient)) / NEAR.sinkage_exponent
+    bearing = last.sinkage * math.exp(ln_ratio)
     now = wheel.now
     assert math.exp(now.ln_bearing) == pytest.approx(bearing, rel=0.15)
     u = np.random.default_rng(0).multivariate_normal(now["soil"], now.spread, 100_000)

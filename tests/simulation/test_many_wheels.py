@@ -105,8 +105,11 @@ def reaction(v, u, sinkage, peak, load, soil, r, b):
 
 
 def one_step(before, command, soil, rig, guess):
-    """State after one step of two stages, which `scipy.optimize.root` solves from the `guess` (V, r
-    w).
+    """Reference for one integration step of a wheel that has not moved: its state by field.
+
+    Both implicit stages of Alexander (1977) are solved by scipy, each followed by the laws of
+    sinkage, rut and pile. `before`: state of the wheel; `command`: share of the stall torque in
+    [-1, 1]; `guess`: (V, r w) [m/s] from which the solver begins.
     """
     h = rig.period
     weight = before.mass * rig.gravity
@@ -125,16 +128,18 @@ def one_step(before, command, soil, rig, guess):
     rut = before.rut_depth
     place = before.x
     piled = before.braked
-    sinking = 0.0
+    sinking = 0.0  # [m/s] at rest
     motor_work = 0.0
     soil_work = 0.0
     at = None
+    # [s] of a stage, [s] that the rates of the stage before count, and the share of the change so
+    # far by which a stage begins ahead
     for duration, first, lead in (
         (g * h, 0.0, 0.0),
         (h - g * h, h - 2.0 * g * h, (1.0 - g) / g - 1.0),
     ):
         begin = (v + lead * (v - v0), u + lead * (u - u0))
-        # the sinkage that is foreseen for the end of the stage, a tenth off at most
+        # sinkage extrapolated to the end of the stage, changed by at most a tenth
         felt = z + min(max(sinking * duration, -0.1 * z), 0.1 * z)
         ahead = max(math.copysign(piled, piled * v), 0.0)
         peak = 0.5 + soil.braked_peak * ahead / (1.0 + ahead)

@@ -150,7 +150,8 @@ class OnBoard:
     def __init__(self, count: int, scenario: Scenario, shown: Shown, warns: bool = False) -> None:
         self.setting = board_setting(scenario, shown, warns)
         self.memory = np.zeros(count, ON_ROVER if self.setting["pooled"][0] else ON_WHEEL)
-        #: `SETTING` [1] of the identifier
+        #: `SETTING` [1] of the identifier as it was made: a copy, an array of its own for compiled
+        #: calls, which keeps the period of the scenario
         self.identifier: np.ndarray = self.setting["identifier"][0].copy()
         self._work: dict[int, np.ndarray] = {}  # work space of each thread
 

@@ -635,7 +635,8 @@ def _not_modelled(problem: TableProblem) -> list[str]:
     taken otherwise than given, and on parts of the rig that are not modelled.
 
     Later passes are taken as fresh soil, grades beyond `LEVEL` as level unless the load is
-    vertical, rims with lugs as smooth. Wheels of several widths have one S without k_c and k_phi.
+    vertical, rims with lugs as smooth. Wheels of several widths share one S unless the setup gives
+    k_c and k_phi.
     """
     table = problem.table
     used = problem.use

@@ -308,7 +308,7 @@ def solve_speeds(rover, equation, world):
     and the reactions.
 
     Speeds are solved at fixed axle loads, at most `TURNS` times, with the loads renewed from the
-    forces in between; after the last time they are not.
+    forces in between, but not after the last time: True says nothing of whether they settled.
     """
     weight = weight_of(rover, world.rig.gravity)
     v = _begin(rover, equation, weight, world)
