@@ -31,13 +31,16 @@ def with_model(
 
     Mass and drive stay those of the scenario, behind a gear that keeps force and speed of the rim.
     Numbers in `changes["wheel"]` are taken as they are, those of tyre and grip too. A soil of the
-    model does not scatter. The spread of the scenario then moves into the belief, so that the prior of the
-    identifier stays.
+    model does not scatter. The spread of the scenario then moves into the belief, so that the prior
+    of the identifier stays.
 
     Without a model, or with `scatter`, the scenario stays as it is; with `scatter` its spread is
-    about the soil of the model. Warns (`OutsideValidity`) of a weight on the wheel, without payload,
-    that is by more than `NEAR` beyond the loads that the model was fitted to. Raises ParameterError for `scatter` without a model, a radius or
-    width in `changes` that is not the model's, and a wheel or soil that the scenario cannot have.
+    about the soil of the model.
+
+    Warns (`OutsideValidity`) of a weight on the wheel, without payload, that is by more than `NEAR`
+    beyond the loads that the model was fitted to. Raises ParameterError for `scatter` without a
+    model, a radius or width in `changes` that is not the model's, and a wheel or soil that the
+    scenario cannot have.
     """
     if truth(scatter, "scatter") and model is None:
         raise ParameterError("scatter = True: expected a `model` whose soil it scatters about")

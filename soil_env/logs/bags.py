@@ -98,8 +98,8 @@ def check_packed(file: Path) -> None:
 
 
 def messages(wanted: set[str], notes: Notes, definitions: Mapping[str, str]) -> Iterator[Message]:
-    """Yield the messages on the topics `wanted` of a bag, at `notes.path`, file by file in the order
-    of `bag_files`, within a file as they are stored.
+    """Yield the messages on the topics `wanted` of a bag, at `notes.path`, by file in the order of
+    `bag_files`, within a file as they are stored.
 
     The path is the folder of the bag or one of its files; a file that is missing is noted.
     `definitions`: text of .msg files by message type. `notes` receives all topics of the bag, the

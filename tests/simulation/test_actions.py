@@ -37,8 +37,9 @@ def test_rim_acceleration_moves_a_commanded_speed_that_the_wheel_follows():
 
 @pytest.mark.parametrize("mode", ACTION_PERIODS)
 def test_a_halt_brakes_evenly_and_locks_no_wheel(mode):
-    """The command falls by 1 m/s2 over periods of 0.1 s, and the wheel does not lock. After a halt the summed command
-    of `rim_acceleration` begins at 0.
+    """The command falls by 1 m/s2 over periods of 0.1 s, and the wheel does not lock.
+
+    After a halt the summed command of `rim_acceleration` begins at 0.
     """
     sim = simulation(mode, course={"grade_deg": [-1.0, 0.0]})
     state = sim.worlds.state

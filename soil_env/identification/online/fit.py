@@ -122,10 +122,10 @@ def _apply_step(memory, setting, work, size):
     """Add `work.step` to the first `size` unknowns; return the share of it that is taken, at most
     1.
 
-    The whole step is scaled so that no unknown moves by more than `work.sd` (`weigh_unknowns`). Then
-    both soils are cut to within `FARTHEST` of the setting's mean, and tan phi of the present one,
-    by which forces are computed, to `LEAST_TANGENT` or above. The returned share does not count
-    what that cuts off.
+    The whole step is scaled so that no unknown moves by more than `work.sd` (`weigh_unknowns`).
+    Then both soils are cut to within `FARTHEST` of the setting's mean, and tan phi of the present
+    one, by which forces are computed, to `LEAST_TANGENT` or above. The returned share does not
+    count what that cuts off.
     """
     u = memory.u
     share = 1.0
