@@ -5,6 +5,7 @@ Needs no torch.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
@@ -15,6 +16,10 @@ from soil_env.terramechanics.model import WheelSoilModel
 
 #: Name of the agent of each observation variant in tables and files.
 NAMES = {"blind": "agent_blind", "identified": "agent_identified", "true_soil": "agent_true"}
+
+
+#: What a name cannot have where lists of controllers are to read it as it is.
+NO_NAME = re.compile(r"[,=:*?\[\]\x00-\x1f]|^\s|\s$")
 
 
 def _text(default: str, doc: str):

@@ -113,15 +113,16 @@ def command(
         drivers = {c.name: load(c, task) for c in asked}
         if len(drivers) < len(asked):
             raise ParameterError(f"controllers: {named!r}: expected one of each name")
-    film_every = every if suffix in (".gif", ".mp4") else 0
-    films = {}
-    for name, driver in drivers.items():
-        with controllers_as(option):
+        for name, driver in drivers.items():
             if hasattr(driver, "attach"):
                 raise ParameterError(
                     f"controllers: {name}: plans in the simulation that it is attached to: "
                     "expected one that drives by its observations; soil-env evaluate drives it"
                 )
+    film_every = every if suffix in (".gif", ".mp4") else 0
+    films = {}
+    for name, driver in drivers.items():
+        with controllers_as(option):
             control = as_driven(driver, task, name).control
         env = make(
             observation=driver.variant,

@@ -2,7 +2,6 @@
 done.
 """
 
-import re
 import shutil
 import threading
 import time
@@ -23,7 +22,7 @@ from soil_env.parameters import RoverScenario, Scenario, load_rover, load_scenar
 from . import ppo, student
 from .agent import Agent, load_agent
 from .choice import Chooser
-from .config import TrainConfig, load_config
+from .config import NO_NAME, TrainConfig, load_config
 from .environment import World, hidden_worlds
 from .progress import Bar, show
 
@@ -32,7 +31,6 @@ CHECKPOINT = "checkpoint.zip"
 BEGUN = ".{}.begun.yaml"  # copy of a file of the run, as it was when the run began
 # Characters that the name of a run may not have: a list of controllers would split it, take it as a
 # pattern or for module:Class; and characters that cannot be printed.
-_NO_NAME = re.compile(r"[,=:*?\[\]\x00-\x1f]")
 _RECENT = 1000  # courses whose mean return and rates are shown
 _STUCK = [cause.name for cause in IMMOBILISED]
 
@@ -108,10 +106,11 @@ def make_run_folder(config: TrainConfig, scenario: Scenario | RoverScenario) -> 
     time. ParameterError for a name that is a path, and where the folder exists or cannot be
     written.
     """
-    name = config.name or f"{config.observation}-{scenario.name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    made = f"{config.observation}-{scenario.name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    name = config.name or NO_NAME.sub("_", made)
     if Path(name).name != name:
         raise ParameterError(f"name = {name!r}: expected the name of a folder, not a path")
-    if wrong := _NO_NAME.search(name):
+    if wrong := NO_NAME.search(name):
         raise ParameterError(
             f"name = {name!r}: expected a name without {wrong[0]!r}, which lists of controllers "
             "would not read as it is"

@@ -15,7 +15,7 @@ import types
 import typing
 from collections.abc import Iterable, Sequence
 from dataclasses import field
-from decimal import MAX_EMAX, Context
+from decimal import Context
 from pathlib import Path
 
 import numpy as np
@@ -85,14 +85,11 @@ def _of_python(value: typing.Any) -> typing.Any:
 
 def said(value: object) -> str:
     """A value as an error writes it: its `repr`, but a whole number beyond `_MOST_SHOWN` rounded to
-    six digits. Of values with one of thousands of digits in them, which has no `repr`, their type.
+    six digits.
     """
     if type(value) is int and abs(value) > _MOST_SHOWN:
-        return f"{Context(prec=6, Emax=MAX_EMAX).create_decimal(value).normalize():e}"
-    try:
-        return repr(value)
-    except ValueError:
-        return f"{type(value).__name__} with a number of thousands of digits"
+        return f"{Context(prec=6).create_decimal(value).normalize():e}"
+    return repr(value)
 
 
 def _bound(x: float) -> str:
@@ -469,11 +466,9 @@ def _number_of(loader: _Strict, node: yaml.ScalarNode) -> int | float:
     if ":" in text or (whole and len(text) > 1 and text[0] == "0" and text.isdecimal()):
         expected = "a decimal number without leading 0 and :, or quoted text"
         raise _wrong(node, f"{node.value}: expected {expected}")
-    if whole:
-        return loader.construct_yaml_int(node)
-    found = loader.construct_yaml_float(node)
-    if math.isinf(found) and "inf" not in text.lower():
-        raise _wrong(node, f"{node.value}: expected a number below {sys.float_info.max:.2g}")
+    found = loader.construct_yaml_int(node) if whole else loader.construct_yaml_float(node)
+    if abs(found) > sys.float_info.max and "inf" not in text.lower():
+        raise _wrong(node, f"{node.value:.40}: expected a number below {sys.float_info.max:.2g}")
     return found
 
 

@@ -392,9 +392,9 @@ def costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
     differs from the run before.
 
     The run before is the last of the `chosen` runs (indices of the grid), or the last row of the
-    table. A change of any sizes of the wheel is one change. A travel speed that follows from the
-    slip at the table's one rim speed is no change. A pass costs for each pass that has to be made
-    before it on fresh soil.
+    table. A change of any sizes of the wheel is one change. Where all runs have the one rim speed
+    of the table, no speed changes. A pass costs for each pass that has to be made before it on
+    fresh soil.
     """
     prices = {"run": 1.0} | problem.data.setup.rig.cost
     table = problem.data.conditions
@@ -402,8 +402,9 @@ def costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
     counted = {
         n: np.abs(x - last[n]) > _SAME * max(1.0, abs(last[n])) for n, x in grid.value.items()
     }
-    rim = _rim_speed(table["speed"], table["slip"])
-    counted["speed"] &= ~np.isclose(grid.value["speed"], travel_speeds(rim, grid.value["slip"]))
+    of_rim = travel_speeds(_rim_speed(table["speed"], table["slip"]), grid.value["slip"])
+    if np.allclose(grid.value["speed"], of_rim, rtol=_SAME_RIM):
+        counted["speed"][:] = False
     counted["run"] = np.ones(grid.value["slip"].size)
     counted["wheel"] = np.any([counted[n] for n in WHEEL], axis=0)
     counted["pass"] = np.maximum(grid.value["pass"] - 1.0, 0.0)

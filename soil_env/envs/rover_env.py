@@ -151,9 +151,10 @@ class SoilRoverEnv(CourseEnv):
     This is `info="full"`, the default with observation "identified". `"state"`, the default with
     the others, has no `estimate`. `"numeric"` has the numbers of "full" without nesting:
     `reward_NAME`, `NAME` of the rover, `front_NAME` of an axle, `front_estimate_NAME`; `cause` and
-    `front_estimate_status` as numbers of `task.Cause` and `identification.Status`, True as 1.
-    `"short"` has `cause`, `immobilised`, `x` and `reward_NAME` only, and `"none"` nothing. The
-    identifiers run, and are compiled, only if observation, `info` or reward asks for them.
+    `front_estimate_status` as numbers of `task.Cause` and `identification.Status`, True as 1, of
+    many as a mask. `"short"` has `cause`, `immobilised`, `x` and `reward_NAME` only, and `"none"`
+    nothing. The identifiers run, and are compiled, only if observation, `info` or reward asks for
+    them.
 
     ## Arguments
     `rover`: name, path of a YAML file, or `RoverScenario`; `observation`; `action`;

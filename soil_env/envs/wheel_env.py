@@ -269,7 +269,8 @@ class SoilWheelEnv(CourseEnv):
     This is `info="full"`, the default with observation "identified". `"state"`, the default with
     the others, has no `estimate` and no `traversability`. `"numeric"` has the numbers of "full"
     without nesting, `cause` and `estimate_status` as numbers of `task.Cause` and
-    `identification.Status`, True as 1: `reward_NAME`, `estimate_NAME`, all others by their name.
+    `identification.Status`, True as 1, of many as a mask: `reward_NAME`, `estimate_NAME`, all
+    others by their name.
     `"short"` has `cause`, `immobilised`, `x` and `reward_NAME` only, and `"none"` nothing.
 
     The identifier runs, and is compiled, only if the observation is "identified", if `info` is

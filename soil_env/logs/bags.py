@@ -74,11 +74,10 @@ def bag_files(path: Path) -> list[Path]:
         with suppress(ParameterError):
             about = read_yaml(path / "metadata.yaml").get("rosbag2_bagfile_information")
             named = about.get("relative_file_paths") if isinstance(about, dict) else None
-            listed = named if isinstance(named, list) else []
-            found = [path / name for name in dict.fromkeys(Path(str(n)).name for n in listed)]
-    # packed files too, which are refused
-    found = found or [f for f in inside if not set(SUFFIXES).isdisjoint(f.suffixes)]
-    for file in found:
+            if isinstance(named, list):
+                found = [path / name for name in dict.fromkeys(Path(str(n)).name for n in named)]
+    found = found or [file for file in inside if file.suffix in SUFFIXES]
+    for file in found or inside:
         check_packed(file)
     if not found:
         raise ParameterError(f"{path}: no .mcap or .db3 file in this folder: expected a ROS 2 bag")

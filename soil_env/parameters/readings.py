@@ -25,8 +25,8 @@ class Image(NamedTuple):
     """Numbers of an image, in this order in a record.
 
     A patch is a part of the course with one class of ground on each of its routes. A label is the
-    number of a class by its looks, 0 to `camera.classes` - 1. What is after `seen` is of the patch
-    ahead, and means something only if that is 1.
+    number of a class by its looks, 0 to `course.classes` - 1. What is after `seen` is of the patch
+    ahead, and means something only if that is 1; labels are those of classes then too, as 0.
     """
 
     patch: float  # number of the patch that the wheel seems to be on, from 0

@@ -21,7 +21,7 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env.envs.wheels import Simulation
-from soil_env.parameters import Scenario
+from soil_env.parameters import RoverScenario, Scenario
 from soil_env.parameters.readings import IDLE, STEP
 from soil_env.simulation.task import Cause
 from soil_env.terramechanics.model import WheelSoilModel
@@ -114,6 +114,8 @@ class Oracle:
     name = "oracle"
 
     def __init__(self, scenario: Scenario, horizon: float = HORIZON):
+        if isinstance(scenario, RoverScenario):
+            raise ParameterError(f"oracle: scenario {scenario.name!r}: a rover: it drives a wheel")
         self.scenario = scenario
         self.variant = _Driver.variant
         self.driver = _Driver(scenario)  # of the wheels

@@ -4,7 +4,6 @@ its soil.
 
 import numpy as np
 
-from soil_env._io.loading import ParameterError
 from soil_env.parameters import FLOW_LAW, SoilState
 from soil_env.slip import rim_speeds, travel_speeds
 from soil_env.terramechanics.traversability import best_points
@@ -176,17 +175,14 @@ class ExtremumSeeking(SlipFollower):
     first = 0.3  # estimate at the start
     low = 0.05  # least estimate
     high = 0.8  # largest estimate
-    swing_period = 1.2  # [s]
-    memory_time = 2.4  # [s] of the means and of the slope
+    swing_period = 1.2  # [s], unless actions last more than half a second
+    samples = 2.4  # actions in a swing, at least: with two or fewer it would be seen as another
+    swings = 2.0  # in which the means and the slope are formed
     _LITTLE = 1e-3  # variance of slip at which the slope counts half: that of its sensor is 1e-4
 
     def __init__(self, scenario, **settings):
         super().__init__(scenario, **settings)
-        if 2.0 * self.period >= self.swing_period:  # the swing would be seen as another, or none
-            raise ParameterError(
-                f"{self.name}: an action lasts {self.period:g} s: expected less than half of the "
-                f"{self.swing_period:g} s in which it swings the slip"
-            )
+        self.swing_period = max(self.swing_period, self.samples * self.period)
 
     def target_slip(self, observation, state):
         """Limit of the slip, [n]: the estimate of the best slip, plus its swing; advances both.
@@ -196,7 +192,8 @@ class ExtremumSeeking(SlipFollower):
         """
         driving = ~(self.halted(observation) | state["fresh"])
         slip, pull = (observation[:, self.column[name]] for name in ("slip", "drawbar_pull"))
-        share = np.where(driving, self.period / self.memory_time, 0.0)  # weight of the newest
+        newest = self.period / (self.swings * self.swing_period)  # its weight
+        share = np.where(driving, newest, 0.0)
         a = slip - state["slip_mean"]
         b = pull - state["pull_mean"]
         # Means, variance of the slip (power) and its covariance with the pull (product).

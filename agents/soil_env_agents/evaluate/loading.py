@@ -2,6 +2,7 @@
 line.
 """
 
+import math
 import tempfile
 from collections.abc import Callable
 from numbers import Real
@@ -82,7 +83,11 @@ def _from_class(spec: str, name: str, scenario: Scenario, settings: dict):
         )
     as_driven(thing, scenario, spec)  # refuses what it cannot drive
     made_with = getattr(thing, "settings", settings)
-    if not (isinstance(made_with, dict) and all(isinstance(x, Real) for x in made_with.values())):
+    if not (
+        isinstance(made_with, dict)
+        and all(isinstance(name, str) for name in made_with)
+        and all(isinstance(x, Real) and math.isfinite(x) for x in made_with.values())
+    ):
         raise ParameterError(
             f"controllers: {spec}: settings = {made_with!r:.60}: expected a mapping of names to "
             "numbers"
@@ -103,7 +108,16 @@ class _Wrapped:
         self.settings: dict[str, float] = getattr(thing, "settings", settings)
         self.drives: dict = getattr(thing, "drives", {})
         if hasattr(thing, "attach"):
-            self.attach = thing.attach
+            self.attach = self._attach
+
+    def _attach(self, *simulation) -> None:
+        """Call the object's own `attach`; ParameterError where it raises."""
+        try:
+            self.thing.attach(*simulation)
+        except (Exception, SystemExit) as error:
+            raise ParameterError(
+                f"controllers: {self.spec}: attach failed ({describe(error)})"
+            ) from error
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """(actions [n, axles], state) of the object's own `predict`, which gets a copy of the

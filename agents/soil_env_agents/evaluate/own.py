@@ -181,7 +181,8 @@ def made(source: str, scenario: Scenario, settings: dict, where: str) -> Any:
     known = bounds_of_settings(source, scenario)
     values = within_bounds(source, known, scenario, settings, where)
     if inspect.isclass(thing) or (callable(thing) and not hasattr(thing, "predict")):
-        driven = as_driven(thing, scenario, source)
+        says = isinstance(getattr(thing, "drives", None), dict)  # else perhaps its objects do
+        driven = as_driven(thing, scenario, source) if says else scenario
         try:
             if known:
                 return thing(driven, **values)

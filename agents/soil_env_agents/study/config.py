@@ -8,6 +8,7 @@ numbers of `Study`. Files are looked for from here, then beside the YAML file.
 from __future__ import annotations
 
 import dataclasses
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -27,7 +28,7 @@ from soil_env.terramechanics.model import WheelSoilModel
 
 from ..cells import code_version
 from ..cli import config_mapping
-from ..config import OfTask, OfWorld, TrainConfig
+from ..config import NO_NAME, OfTask, OfWorld, TrainConfig
 from ..controllers import CONTROLLERS, within_bounds
 from ..controllers.rover import ROVER_CONTROLLERS, controllers_of
 from ..evaluate import loading
@@ -104,9 +105,9 @@ class Study(Checked):
         """
         sources = self.sources
         for name in (*self.targets, *self.arms):
-            if "-" in name or "/" in name:
+            if wrong := re.search("[-/]", name) or NO_NAME.search(name):
                 raise ParameterError(
-                    f"{name!r}: expected the name of a scenario or an arm without - and /"
+                    f"{name!r}: expected the name of a scenario or an arm without {wrong[0]!r}"
                 )
         for name, target in self.targets.items():
             if target.trained_on and target.trained_on not in sources:

@@ -19,8 +19,7 @@ SINKAGE_UNIT = 0.05  # [of the mean sinkage of both]
 # `NEAREST` it is never below 1: such cells are merged only for want of room, after others.
 ON_BORDER = 1e9
 NEAREST = 1e-6  # [m2] added to the square of the distance of their places
-# [m2] Variance of a sinkage that was not measured, at least: that of its readings is 1e4, over
-# their number.
+# [m2] Least variance of a reading of the sinkage that was not measured, 1e4, but for rounding.
 UNKNOWN_SINKAGE = 1.0
 
 
@@ -70,7 +69,8 @@ def _apart(a, b):
     It is `_distance` if neither is on a border, and that of their places (`ON_BORDER`) if both are.
     It is infinite if only one is on a border, or if the sinkage of only one was measured.
     """
-    if (a.sinkage_variance > UNKNOWN_SINKAGE) != (b.sinkage_variance > UNKNOWN_SINKAGE):
+    measured = a.sinkage_variance * a.readings < UNKNOWN_SINKAGE  # of one reading
+    if measured != (b.sinkage_variance * b.readings < UNKNOWN_SINKAGE):
         return math.inf
     if a.place_error > 0.0 and b.place_error > 0.0:
         return ON_BORDER * ((a.place - b.place) ** 2 + NEAREST)
