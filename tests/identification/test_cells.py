@@ -40,6 +40,17 @@ def kept(cells, *, each=None):
     return wheel.cells.copy()
 
 
+@pytest.mark.parametrize("readings", [8.0, 20_000.0])
+def test_a_cell_without_a_sinkage_is_merged_with_none_that_has_one(readings):
+    """However many readings it is of; its condition is that of the other."""
+    known, unknown = random_cells(np.random.default_rng(0), 2, spread=0.0)
+    unknown["readings"] = readings
+    unknown["sinkage_variance"] = 1e4 / readings
+    found = kept([unknown, known, known, unknown])
+    assert len(found) == 2
+    assert np.sort(found["readings"]).tolist() == sorted([2.0 * known["readings"], 2.0 * readings])
+
+
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.floats(0.0, 1.0))
 def test_no_reading_is_lost_and_there_are_never_more_cells_than_room(seed, count, spread):
