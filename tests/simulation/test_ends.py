@@ -40,6 +40,7 @@ STALLED = {"speed": 0.0, "wheel_speed": 0.0}
         ({"x": 9.999}, 1, "RUNNING"),
         ({"x": 10.0}, 1, "FINISHED"),
         ({"x": 10.1, "sinkage": 0.14}, 1, "FINISHED"),
+        ({"x": 10.1, "halt_left": 5.0}, 1, "FINISHED"),
         ({"steps": 898}, 2, "TIME_LIMIT"),
         ({"steps": 898, "halt_left": 5.0}, 2, "TIME_LIMIT"),
         ({"steps": 899, "sinkage": 0.14}, 1, "BOGGED"),

@@ -68,7 +68,7 @@ READINGS_ON_BORDER = 5.0
 # beside them a border to a soil that only bears otherwise is found sooner, but readings whose
 # sinkage follows the slip at once begin borders too.
 EXPECTED = 3.0  # [-] taken off chi-squared before it is summed; the sum is never below 0
-ANOTHER_SOIL = 8.0  # [-] sum above which a border is assumed here
+ANOTHER_SOIL = 11.0  # [-] sum above which a border is assumed here; below 10 one soil has two
 OUTLIER = 3.5  # [-] chi-squared above which a point is left out, until the sum decides
 SETTLED_POINTS = 3  # of a soil, before which no point is tested
 DOUBT = 1.3  # factor of the standard deviations while the last point is an outlier
@@ -254,9 +254,9 @@ def _complete(memory, reading, alone, setting, work):
             renew(memory, setting, work)
             surprise = _surprise(memory, setting, work)
         memory.excess = max(memory.excess + surprise - EXPECTED, 0.0)
+    # a settled soil that contradicts the laws: a border that the sum of excesses has not shown
     late = memory.settled > 0 and memory.points > FEW_POINTS and memory.cells_kept > 1
-    missed = contradicted and late  # a border that the sum of excesses has not shown
-    if alone and (missed or memory.excess > ANOTHER_SOIL):
+    if alone and (contradicted and late or memory.excess > ANOTHER_SOIL):
         feel_border(memory, setting, work)
         return
     if surprise > OUTLIER:  # the next ones decide
@@ -278,7 +278,6 @@ def _complete(memory, reading, alone, setting, work):
         memory.settled = 1
     if memory.crossing == 0.0:
         take_fresh(memory)
-    memory.status = status_of(memory, _contradicted(memory, setting), setting)
 
 
 @compiled
@@ -333,6 +332,8 @@ def observe(memories, k, reading, alone, setting, work):
             largest = max(memory.old_form_error, LARGE_FORM_ERROR * setting.model_error)
             memory.form_error = min(memory.form_error, largest)
             take_fresh(memory)
+    if outcome > HELD:
+        memory.status = status_of(memory, _contradicted(memory, setting), setting)
     return outcome
 
 

@@ -93,11 +93,13 @@ def judge(vehicle, task):
     progress; TIME_LIMIT. No progress: `no_progress_time` without getting `no_progress_distance`
     further than ever before, or a place more than `BEHIND` before the start. It is STALLED if the
     rim was slower than `stalled_rim_speed` for most of that time, else ENTRAPPED. In a halt only
-    the time limit holds.
+    FINISHED and the time limit hold.
     """
-    out_of_time = vehicle.steps >= task.periods
+    otherwise = TIME_LIMIT if vehicle.steps >= task.periods else RUNNING
+    if vehicle.x >= task.length:
+        return FINISHED
     if vehicle.halt_left > 0.0:
-        return TIME_LIMIT if out_of_time else RUNNING
+        return otherwise
     if vehicle.best_x >= vehicle.mark_x + task.no_progress_distance:
         vehicle.mark_x = vehicle.best_x
         vehicle.idle_time = 0.0
@@ -106,13 +108,11 @@ def judge(vehicle, task):
         vehicle.idle_time += task.period
         if abs(vehicle.wheel_speed) * task.radius < task.stalled_rim_speed:
             vehicle.stalled_time += task.period
-    if vehicle.x >= task.length:
-        return FINISHED
     if vehicle.sinkage > task.bogged_sinkage * task.radius:
         return BOGGED
     if vehicle.idle_time >= task.no_progress_time - ROUNDING or vehicle.x < -BEHIND:
         return STALLED if vehicle.stalled_time > MOST_OF_IT * vehicle.idle_time else ENTRAPPED
-    return TIME_LIMIT if out_of_time else RUNNING
+    return otherwise
 
 
 @compiled_finite
