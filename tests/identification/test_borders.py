@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from soil_env.identification import Status
 from soil_env.identification.online import borders
 from soil_env.identification.online.identifier import MOVED
 from soil_env.identification.online.memory import HERE, OLD, PLACE, QUANTITIES, SOIL
@@ -132,6 +133,17 @@ def test_behind_a_border_the_ground_is_of_the_new_soil():
     assert wheel.now.crossing == 0.0
     np.testing.assert_array_equal(wheel.now.estimate, wheel.now.fresh)
     np.testing.assert_array_equal(wheel.now.sd, wheel.now.fresh_sd)
+
+
+def test_behind_a_border_a_soil_without_points_is_not_known():
+    """The status is of what is published, though no point has renewed it since."""
+    wheel = Identified(PLAIN)
+    wheel.observe(driven(SAND, SLIPS, PLAIN))
+    assert Status(wheel.now.status) == Status.CONVERGED
+    wheel.begin_border(wheel.now.place, (0.1 * LENGTH) ** 2)
+    wheel.observe([STEADY._replace(slip=math.nan)] * math.ceil(LENGTH / STEP))
+    assert wheel.now.crossing == 0.0 and wheel.now.points == 0
+    assert Status(wheel.now.status) == Status.NOT_EXCITED
 
 
 def test_cells_on_a_border_have_an_error_of_their_place():

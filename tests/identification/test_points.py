@@ -12,8 +12,8 @@ from soil_env.identification.online.identifier import HELD, RENEWED
 from soil_env.identification.online.memory import PULL_ZERO
 from soil_env.identification.online.points import (
     BLUNTEST,
+    FEW_READINGS,
     FIRST_POINTS,
-    FIRST_READINGS,
     LAG,
     LIFTED,
     LOCKED,
@@ -131,6 +131,27 @@ def test_the_variances_of_a_point_are_those_of_its_noise(slip):
         assert found == pytest.approx(stated, rel=0.1), name
 
 
+def test_the_forces_of_a_point_are_those_at_its_slip():
+    """A wheel that is braked: a slow wheel's slip is less well known, so the means of slip and of
+    forces that follow it in proportion need the same weights.
+    """
+    noise = NOISE | {"motor_torque": 1.0}  # a torque that turns the wheel faster is its noise too
+    wheel = Identified(load_scenario("mixed", {"noise": noise}))
+    mass = STEADY.load / SCENARIO.gravity
+    readings = []
+    for k, slip in enumerate((0.04, 0.01, -0.02)):
+        rim = 0.3 - 0.09 * k
+        pull = W * (0.1 + 2.0 * slip)
+        torque = W * R * (0.2 + 2.0 * slip)
+        r = STEADY._replace(slip=slip, rim_speed=rim, speed=rim * (1.0 - slip))
+        forces = {"drawbar_pull": pull, "acceleration": pull / mass}
+        readings.append(r._replace(torque=torque, motor_torque=torque, **forces))
+    cell = first_point(wheel, readings)
+    assert cell["readings"] == 3 and cell["slip"] > 0.02
+    assert cell["pull"] == pytest.approx(0.1 + 2.0 * cell["slip"], abs=1e-9)
+    assert cell["torque"] == pytest.approx(0.2 + 2.0 * cell["slip"], abs=1e-6)
+
+
 def test_a_slip_sensor_counts_in_place_of_the_speeds():
     wheel = Identified(load_scenario("mixed", {"noise": {"slip": 0.02}}))
     cell = first_point(wheel, [STEADY._replace(slip=0.27)] * 3)
@@ -160,9 +181,9 @@ def points_of(wheel, reading, count):
 def test_points_are_a_few_readings_and_the_first_fewer(wheel):
     """Where the slip is sharp enough by then."""
     cell = first_point(wheel, [STEADY] * 3)
-    assert cell["slip_variance"] * 3.0 / FIRST_READINGS < SHARPEST_SLIP**2
+    assert cell["slip_variance"] * 3.0 / FEW_READINGS < SHARPEST_SLIP**2
     sizes = points_of(wheel, STEADY, 60)
-    assert sizes[:FIRST_POINTS] == [FIRST_READINGS] * FIRST_POINTS
+    assert sizes[:FIRST_POINTS] == [FEW_READINGS] * FIRST_POINTS
     assert sizes[-1] == READINGS
 
 
@@ -171,7 +192,7 @@ def test_a_slow_wheel_needs_more_readings_for_as_sharp_a_slip(wheel):
     (cell,) = wheel.cells
     by_one = cell["slip_variance"] * cell["readings"]
     needed = by_one / SHARPEST_SLIP**2
-    assert needed > FIRST_READINGS + 1.0 and set(sizes) == {math.ceil(needed)}
+    assert needed > FEW_READINGS + 1.0 and set(sizes) == {math.ceil(needed)}
 
 
 def test_a_fast_wheel_has_points_of_so_much_way(wheel):
@@ -179,7 +200,7 @@ def test_a_fast_wheel_has_points_of_so_much_way(wheel):
     fast = STEADY._replace(speed=2.4, rim_speed=3.2)
     sizes = points_of(wheel, fast, 20)
     most = math.floor(LONGEST * R / (fast.speed * PERIOD)) + 1
-    assert most < FIRST_READINGS and set(sizes) == {most}
+    assert most < FEW_READINGS and set(sizes) == {most}
 
 
 def test_an_unlike_slip_begins_another_point(wheel):

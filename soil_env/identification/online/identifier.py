@@ -41,8 +41,8 @@ from .memory import (
     TORQUE,
 )
 from .points import (
+    FEW_READINGS,
     FIRST_POINTS,
-    FIRST_READINGS,
     LOCKED,
     READINGS,
     SPINNING,
@@ -61,14 +61,12 @@ from .residuals import DEEPER, ground_of, residuals, weigh_unknowns
 #: Outcomes of a set of readings: the estimate is as before; the wheel moved on a border, and so to
 #: other ground; a point was completed.
 HELD, MOVED, RENEWED = range(3)
-# Readings of a point on a border, own choice: fewer, since the ground changes from one to the next.
-READINGS_ON_BORDER = 5.0
 # Test for another soil by chi-squared (two degrees of freedom) of the forces of each new point,
 # under the soil so far (CUSUM, docs/physics/estimation.md): own choices. With the change of sinkage
 # beside them a border to a soil that only bears otherwise is found sooner, but readings whose
 # sinkage follows the slip at once begin borders too.
 EXPECTED = 3.0  # [-] taken off chi-squared before it is summed; the sum is never below 0
-ANOTHER_SOIL = 11.0  # [-] sum above which a border is assumed here; below 10 one soil has two
+ANOTHER_SOIL = 8.0  # [-] sum above which a border is assumed here
 OUTLIER = 3.5  # [-] chi-squared above which a point is left out, until the sum decides
 SETTLED_POINTS = 3  # of a soil, before which no point is tested
 DOUBT = 1.3  # factor of the standard deviations while the last point is an outlier
@@ -309,11 +307,8 @@ def observe(memories, k, reading, alone, setting, work):
     point = memory.open[0]
     error = slip_error(reading, setting)
     steady = is_steady(reading, error, turned, setting)
-    wanted = READINGS
-    if memory.crossing > 0.0:
-        wanted = READINGS_ON_BORDER
-    elif memory.points < FIRST_POINTS:
-        wanted = FIRST_READINGS
+    few = memory.crossing > 0.0 or memory.points < FIRST_POINTS
+    wanted = FEW_READINGS if few else READINGS
     outcome = HELD
     if point.readings > 0.0 and (not steady or ends_point(point, reading, error, wanted, setting)):
         _complete(memory, reading, alone, setting, work)

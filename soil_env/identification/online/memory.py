@@ -73,8 +73,9 @@ READING = record(*SensorReading._fields)
 OPEN = record(
     "readings",
     "first_slip",
-    "slip",  # weighted by 1/variance, as sinkage, pull and torque
+    "slip",  # weighted by 1/variance, as sinkage; pull and torque by that of both
     "slip_weight",  # sum of the weights
+    "slip_square",  # sum of their squares
     "by_speeds",  # part of that sum, of slips that follow from both speeds
     "sinkage",
     "sinkage_weight",

@@ -22,12 +22,14 @@ READINGS = 8.0
 # that is taken for slip draws ln K and phi down. A slow wheel needs more readings for it.
 SHARPEST_SLIP = 0.012
 MOST_READINGS = 3.0 * READINGS  # of a point of a slow wheel, own choice
-FIRST_READINGS = 3.0  # of each of the first points of a soil, own choice: sooner a first estimate
-FIRST_POINTS = 3  # number of these points, own choice
+# Readings of each of the first `FIRST_POINTS` points of a soil, for sooner a first estimate, and of
+# each on a border, where the ground changes from one to the next: own choices.
+FEW_READINGS = 3.0
+FIRST_POINTS = 3
 LONGEST = 3.0  # [radii] travel over a point, own choice
 # [-] Range of slip of a point beyond three standard deviations, own choice. Forces are curved over
-# slip: their mean differs from the force at the mean slip by up to a hundredth of the load.
-SLIP_RANGE = 0.08
+# slip, so their mean is not the force at the mean slip; with 0.08 the errors of ln K grow by 3 %.
+SLIP_RANGE = 0.04
 # [m/s] Rim or travel speed below which a wheel rests: 20 times the speed below which slip and
 # resistance of the world go to zero (docs/physics/wheel.md).
 SLOWEST = 0.02
@@ -230,6 +232,9 @@ def _combined_torque(reading, turned, setting):
 def collect(point, memory, reading, error, turned, setting):
     """Add a reading to the open point, with the place of the ground that it shows.
 
+    Pull and torque also count by the precision of the slip: their means are then those at its mean,
+    though a braked wheel is less sure of its slip from reading to reading.
+
     `error`: standard deviation of its slip; `turned` [m/s]: change of the rim speed in the period.
     """
     place = memory.place - LAG * reading.speed * setting.period
@@ -240,19 +245,22 @@ def collect(point, memory, reading, error, turned, setting):
     weight = 1.0 / (error * error)
     point.slip += weight * reading.slip
     point.slip_weight += weight
+    point.slip_square += weight * weight
     if setting.white[0].slip == 0.0:
         point.by_speeds += weight
+    pull, variance, share = combined_pull(memory, reading, setting)
+    of_pull = weight / variance
+    point.pull += of_pull * pull
+    point.pull_weight += of_pull
+    point.inertial += of_pull * share
+    torque, variance, share = _combined_torque(reading, turned, setting)
+    of_torque = weight / variance
+    point.torque += of_torque * torque
+    point.torque_weight += of_torque
+    point.motor += of_torque * share
     weight = 1.0 / setting.white[0].sinkage ** 2
     point.sinkage += weight * reading.sinkage
     point.sinkage_weight += weight
-    pull, variance, share = combined_pull(memory, reading, setting)
-    point.pull += pull / variance
-    point.pull_weight += 1.0 / variance
-    point.inertial += share / variance
-    torque, variance, share = _combined_torque(reading, turned, setting)
-    point.torque += torque / variance
-    point.torque_weight += 1.0 / variance
-    point.motor += share / variance
     if setting.white[0].load <= setting.weight:  # it was measured
         point.load += reading.load
         point.loads += 1.0
@@ -295,10 +303,11 @@ def close(memory, cell, setting):
     cell.sinkage = sinkage
     cell.sinkage_variance = 1.0 / point.sinkage_weight
     cell.pull = point.pull / point.pull_weight
-    cell.pull_variance = 1.0 / point.pull_weight
+    noise = point.slip_square / point.slip_weight
+    cell.pull_variance = noise / point.pull_weight
     cell.inertial = point.inertial / point.pull_weight
     cell.torque = point.torque / point.torque_weight
-    cell.torque_variance = 1.0 / point.torque_weight
+    cell.torque_variance = noise / point.torque_weight
     cell.motor = point.motor / point.torque_weight
     cell.load = memory.mass * setting.gravity * point.cos_pitch / n
     if setting.load_varies > 0 and point.loads > 0.0:
