@@ -231,7 +231,7 @@ def next_checks(
         if worth[k] <= max(least, LEAST_OF_CHECK):
             break
         overlap = overlap * decided(names, left[k])
-        before = before + worth[k]
+        before += worth[k]
         out.append(left.pop(k))
     return tuple(out)
 

@@ -259,7 +259,7 @@ class _Doubts:
             return
         name = "acceleration" if "acceleration" in log.readings else "drawbar_pull"
         felt = log.get(name) / (1.0 if name == "acceleration" else self.map.wheel.body_mass)
-        felt = felt - np.nan_to_num(np.gradient(self.speed, log.time))
+        felt -= np.nan_to_num(np.gradient(self.speed, log.time))
         expected = gravity * np.sin(log.get("pitch"))
         known = ~np.isnan(expected + felt)
         x = expected[known]  # [m/s2] gravity along the course, by the pitch

@@ -140,8 +140,8 @@ def test_behind_a_border_a_soil_without_points_is_not_known():
     wheel = Identified(PLAIN)
     wheel.observe(driven(SAND, SLIPS, PLAIN))
     assert Status(wheel.now.status) == Status.CONVERGED
-    wheel.begin_border(wheel.now.place, (0.1 * LENGTH) ** 2)
-    wheel.observe([STEADY._replace(slip=math.nan)] * math.ceil(LENGTH / STEP))
+    assert wheel.see_border(seen(0.4 * LENGTH, 1.0), 0.04)
+    wheel.observe([STEADY._replace(rim_speed=2.0 * STEADY.rim_speed), STEADY] * 12)
     assert wheel.now.crossing == 0.0 and wheel.now.points == 0
     assert Status(wheel.now.status) == Status.NOT_EXCITED
 
@@ -149,7 +149,7 @@ def test_behind_a_border_a_soil_without_points_is_not_known():
 def test_cells_on_a_border_have_an_error_of_their_place():
     """Those before and behind have none."""
     wheel = Identified(PLAIN)
-    wheel.observe([STEADY] * 20)
+    wheel.observe([STEADY] * 19)  # a point begins with the last
     assert np.all(wheel.cells["place_error"] == 0.0)
     middle = wheel.now.place + 0.5 * LENGTH
     wheel.begin_border(middle, (0.1 * LENGTH) ** 2)

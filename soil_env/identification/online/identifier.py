@@ -66,7 +66,7 @@ HELD, MOVED, RENEWED = range(3)
 # beside them a border to a soil that only bears otherwise is found sooner, but readings whose
 # sinkage follows the slip at once begin borders too.
 EXPECTED = 3.0  # [-] taken off chi-squared before it is summed; the sum is never below 0
-ANOTHER_SOIL = 8.0  # [-] sum above which a border is assumed here
+ANOTHER_SOIL = 10.0  # [-] sum above which a border is assumed here
 OUTLIER = 3.5  # [-] chi-squared above which a point is left out, until the sum decides
 SETTLED_POINTS = 3  # of a soil, before which no point is tested
 DOUBT = 1.3  # factor of the standard deviations while the last point is an outlier
@@ -137,9 +137,8 @@ def _find_bearing(memory, reading, setting, work):
     u = memory.soil
     r = setting.radius
     load = memory.mass * setting.gravity * math.cos(reading.pitch)
-    sinkage = reading.sinkage
-    if setting.white[0].sinkage > setting.sensors[0].sinkage and memory.point_sinkage > 0.0:
-        sinkage = memory.point_sinkage  # not measured now
+    # that of the point; where none was measured, what stands for it
+    sinkage = memory.point_sinkage if memory.point_sinkage > 0.0 else reading.sinkage
     z = max(sinkage - memory.u[SINKAGE_ZERO], LEAST_SINKAGE * r)
     slip = min(max(reading.slip, LOCKED), SPINNING)
     corrected = load * (1.0 - memory.u[LOAD_GAIN])
