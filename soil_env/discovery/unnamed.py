@@ -181,7 +181,7 @@ def changed(out: np.ndarray, rows: Rows, values: Values, bench: Bench) -> np.nda
         else:
             share = (np.maximum(out[:, 0], 0.0) / bench.sinkage) ** values[f"{name}_power"]
         if name == "rut_force":
-            share = share * (1.0 - 1.0 / np.maximum(rows.conditions[:, 1], 1.0))
+            share *= 1.0 - 1.0 / np.maximum(rows.conditions[:, 1], 1.0)
         out[:, 1] -= values[f"{name}_pull"] * bench.load * share
         out[:, 2] += values[f"{name}_torque"] * size * share
     for name, j, scale in (

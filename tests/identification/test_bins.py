@@ -130,11 +130,41 @@ def test_correlated_rows_do_not_make_the_estimate_surer(tmp_path):
     assert len(held) == 10 and sum(held) >= 8
 
 
+@pytest.mark.parametrize("kind", ["held", "ramp", "any order"])
+def test_a_noisy_slip_does_not_draw_the_modulus_down(tmp_path, kind):
+    """Slips with a noise of 0.02 under three loads, held for twelve rows, going up, or in any order.
+
+    Bins that were chosen by such slips have other true slips than their means: K was 13 to 15 %
+    low, also with the noise given.
+    """
+    rng = np.random.default_rng(5)
+    slip = np.repeat(np.linspace(0.05, 0.6, 8), 12)
+    if kind != "held":
+        slip = np.linspace(0.03, 0.6, 96)
+    slip = np.tile(slip, 3)
+    load = np.repeat([100.0, 150.0, 220.0], 96)
+    if kind == "any order":
+        order = rng.permutation(slip.size)
+        slip, load = slip[order], load[order]
+    y = np.stack(world({}).predict({"slip": slip, "load": load})[:3], axis=1)
+    errors = []
+    for _ in range(4):
+        read = np.clip(slip + rng.normal(0.0, 0.02, slip.size), -1.0, 1.0)
+        values = y + rng.normal(size=y.shape) * list(NOISE.values())
+        rows = [",".join(f"{x:.7g}" for x in row) for row in np.column_stack([read, load, values])]
+        setup = BARE.replace("noise: {", "noise: {slip: 0.02, ")
+        text = "\n".join([",".join(("slip", "load", *NOISE)), *rows]) + "\n"
+        data = data_of(tmp_path, text, setup)
+        e = identify_table(data.table, data.setup)
+        assert any("dense" in w for w in e.warnings)
+        errors.append(np.log(e.parameters["shear_modulus"].value / world({}).soil.shear_modulus))
+    assert abs(np.mean(errors)) < 0.05
+
+
 def test_a_misfit_is_not_taken_for_noise(tmp_path):
     data = dense(tmp_path, 900, added=1.2, correlated=3)
     e = identify_table(data.table, data.setup)
     assert "soil-env discover" in e.misfit and "noise of sinkage" in e.misfit
-    assert "noise.slip" not in e.misfit  # which a dense table does not use
     p = e.parameters["friction_angle_deg"]
     assert p.low <= world({}).soil.friction_angle_deg <= p.high and p.high - p.low > 2.0
 

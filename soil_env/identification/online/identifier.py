@@ -279,8 +279,10 @@ def _complete(memory, reading, alone, setting, work):
 
 @compiled
 def _is_finite(memory):
-    """True if form error, unknowns and all estimates with their standard deviations are finite."""
-    known = memory.estimate.sum() + memory.sd.sum() + memory.fresh.sum() + memory.fresh_sd.sum()
+    """True if form error, unknowns and the fresh estimate with its standard deviations are finite;
+    what is published follows from that and from the old one.
+    """
+    known = memory.fresh.sum() + memory.fresh_sd.sum()
     return math.isfinite(memory.form_error + known + memory.u.sum())
 
 

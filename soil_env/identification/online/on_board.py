@@ -7,6 +7,8 @@ observation and the reward. The world never reads an estimate.
 
 import math
 import threading
+from collections import defaultdict
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -153,7 +155,8 @@ class OnBoard:
         #: `SETTING` [1] of the identifier as it was made: a copy, an array of its own for compiled
         #: calls, which keeps the period of the scenario
         self.identifier: np.ndarray = self.setting["identifier"][0].copy()
-        self._work: dict[int, np.ndarray] = {}  # work space of each thread
+        # work space of each thread
+        self._work = defaultdict[int, np.ndarray](partial(np.zeros, 1, WORK))
 
     def views(self) -> dict[str, Any]:
         """What others read, by name.
@@ -180,10 +183,8 @@ class OnBoard:
         """Follow the `orders` [vehicles] int8 (`parameters.readings.STEP` and others) that the
         vehicles `first` to `end` - 1 of a `world` have followed; see `estimate`.
         """
-        thread = threading.get_ident()
-        if thread not in self._work:
-            self._work[thread] = np.zeros(1, WORK)
-        estimate(self.memory, world, orders, self.setting, self._work[thread], first, end)
+        work = self._work[threading.get_ident()]
+        estimate(self.memory, world, orders, self.setting, work, first, end)
 
 
 @compiled

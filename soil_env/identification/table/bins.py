@@ -6,6 +6,7 @@ values than rows. The mean of a bin counts as one value, and its noise is the sc
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,11 +34,6 @@ OUTLIER_AT = 8.0  # [sd] from the median of a bin, beyond which a value is an ou
 #: choice.
 _PART = 4
 _WIDE = 1.0  # [correlation lengths] extent from which a bin is cut whatever its parts are
-# A condition is held while consecutive rows only scatter about it (`_held`); own choices.
-_STRETCHED = 0.8  # share of the rows of a bin that the next row of the table follows, at least
-_ALTERNATING = 0.1  # share of these that the cut parts from the next row, at least
-_SCATTER = 0.25  # range over that of the whole table along the coordinate, at most, or `NEAR`
-_BREAK = 8  # rows of other bins between two stretches at the same conditions, at least
 # Correlation lengths of the coordinates in which rows are compared.
 _LENGTHS = {name: LENGTHS[name] for name in LENGTHS if name != "elapsed"} | {
     "log_slip": LAW_LENGTHS[2]["log_slip"]
@@ -57,17 +53,17 @@ def binned(table: Table, setup: Setup) -> Binned:
     """The table with one row a bin if it is dense, as it is otherwise.
 
     Dense are tables of more than `DENSE` rows, and series of more than `REPEATED` with `FEWEST`
-    rows or more a bin on average. In a series a row is mostly near the one before (`NEAR`). A
-    measured value of a bin is the mean without outliers. Noise of the rows and of the setup, that
-    of slip and load too, is dropped: it is that of single rows.
+    rows or more a bin on average. In a series a row is mostly near the one before (`NEAR`); its
+    bins are of consecutive rows, so that none is chosen by the noise of its slip. A measured value
+    of a bin is the mean without outliers, whose noise is dropped. That of slip and load is as the
+    setup has it for rows that were sorted by value, and over the root of their number in a series.
     """
     if len(table) <= REPEATED:
         return Binned(table, setup, "")
     x = _coordinates(table, setup)
     series = np.median(np.max(np.abs(np.diff(x, axis=0)), axis=1)) < NEAR
-    few = len(table) <= DENSE
-    bins = _bins(x, MOST_OF_SERIES if series and not few else MOST)
-    if few and not (series and len(table) >= FEWEST * len(bins)):
+    bins = _bins(x, MOST_OF_SERIES, _split) if series else _bins(x, MOST, _cut)
+    if len(table) <= DENSE and not (series and len(table) >= FEWEST * len(bins)):
         return Binned(table, setup, "")
     columns: dict[str, Any] = {
         name: np.stack([_merged(column[rows]) for rows in bins])
@@ -81,20 +77,25 @@ def binned(table: Table, setup: Setup) -> Binned:
         spreads = [s for s in map(median_abs_deviation, values) if math.isfinite(s)]
         usual = np.median(spreads) if spreads else 0.0
         cleaned = [_without_outliers(v, usual) for v in values]
-        outliers += sum(count for _, count in cleaned)
-        columns[channel] = np.array([value for value, _ in cleaned])
+        means, counts = zip(*cleaned, strict=True)
+        outliers += sum(counts)
+        columns[channel] = np.array(means)
     columns |= dict.fromkeys(NOISE, np.full(len(bins), math.nan))
     sizes = [rows.size for rows in bins]
+    root = math.sqrt(np.median(sizes)) if series else 1.0
+    given = {n: sd / root for n in ("slip", "load") if (sd := getattr(setup.noise, n))}
     words = (
         f"The table is dense: its {len(table)} rows are taken in {len(bins)} bins of {min(sizes)} "
         f"to {max(sizes)} rows at about the same conditions. The mean of a bin counts as one "
-        "value, and its noise is the scatter of the means, not what the setup says of single "
-        "rows: errors that go on from row to row count once, unless they outlast a bin. A row that "
-        "is named stands for the bin that begins with it, and its values are means."
+        "value. Its noise is the scatter of the means, but for slip and load not what the setup "
+        "says of rows: errors that go on from row to row count once, unless they outlast a bin. A "
+        "row that is named stands for the bin that begins with it, and its values are means."
     )
     if outliers:
         words += f" Values left out that are far from the others of their bin: {outliers}."
-    return Binned(dataclasses.replace(table, **columns), setup.changed(noise=NoiseLevels()), words)
+    return Binned(
+        dataclasses.replace(table, **columns), setup.changed(noise=NoiseLevels(**given)), words
+    )
 
 
 def _coordinates(table: Table, setup: Setup) -> np.ndarray:
@@ -118,56 +119,44 @@ def _coordinates(table: Table, setup: Setup) -> np.ndarray:
     return x[:, np.ptp(x, axis=0) > 0.0]
 
 
-def _bins(x: np.ndarray, most: int) -> list[np.ndarray]:
+def _bins(x: np.ndarray, most: int, cut: Callable[..., Any]) -> list[np.ndarray]:
     """Row numbers of each bin of the coordinates x [N, D], in the order of their first rows.
 
-    The widest bin is cut in two (`_cut`) until none is wider than `FINE`, or there are `most`. A
-    bin that is narrower than `_WIDE` also stays whole if a part of it would have too few rows
-    (`_PART`). A narrow bin that is `_held` is not cut by its values: parts that alternate from row
-    to row would share the errors that go on from row to row. It is cut in time instead (`_times`)
-    if its condition is held more than once.
+    The widest bin is cut in two (`cut`: `_split` or `_cut`) until none is wider than `FINE`, or
+    there are `most`. A bin stays whole if a part would be empty, and one that is narrower than
+    `_WIDE` if a part would have too few rows (`_PART`).
     """
     few = max(1, len(x) // (_PART * most))
     bins = [np.arange(len(x))]
     extents = [_extent(x)]  # 0 for a bin that stays whole
     while len(bins) < most and max(extents) > FINE:
         widest = np.argmax(extents)
-        parts = _cut(x, bins[widest])
-        if extents[widest] < _WIDE:
-            if _held(x, bins[widest], parts[0]):
-                parts = _times(bins[widest])
-            if min(map(len, parts)) < few:
-                extents[widest] = 0.0
-                continue
+        parts = cut(x, bins[widest])
+        if min(map(len, parts)) < (few if extents[widest] < _WIDE else 1):
+            extents[widest] = 0.0
+            continue
         del bins[widest], extents[widest]
         bins += parts
         extents += [_extent(x[part]) for part in parts]
     return sorted(bins, key=lambda rows: rows[0])
 
 
-def _held(x: np.ndarray, rows: np.ndarray, part: np.ndarray) -> bool:
-    """True if the `rows` of x [N, D] are stretches of the table that scatter about one condition:
-    they are narrow, and consecutive rows are now in the `part` of a cut, now in the other.
-    """
-    ranges = np.ptp(x[rows], axis=0)
-    widest = np.argmax(ranges)
-    follows = np.diff(rows) == 1
-    changes = np.diff(np.isin(rows, part))
-    return bool(
-        ranges[widest] < max(NEAR, _SCATTER * np.ptp(x[:, widest]))
-        and np.mean(follows) > _STRETCHED
-        and np.mean(changes[follows]) > _ALTERNATING
-    )
+def _split(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two parts of consecutive `rows` of x [N, D], before and after the largest change of their
+    mean (binary segmentation: Scott & Knott 1974, Biometrics 30:507-512).
 
-
-def _times(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two parts of the `rows` of a bin, before and after its longest break: a stretch of the table
-    that is in other bins. The second part is empty if no break has `_BREAK` rows or more.
+    The change is of the coordinate of the largest range among those that do more than scatter from
+    row to row. A coordinate scatters where its squared differences from row to row sum to more than
+    those from the mean (von Neumann 1941, Ann. Math. Stat. 12:367-395: twice as much, if it is
+    white). The second part is empty where all do.
     """
-    gaps = np.diff(rows)
-    longest = np.argmax(gaps)
-    end = longest + 1 if gaps[longest] > _BREAK else rows.size
-    return rows[:end], rows[end:]
+    here = x[rows] - np.mean(x[rows], axis=0)
+    scatters = np.sum(np.diff(here, axis=0) ** 2, axis=0) >= np.sum(here**2, axis=0)
+    ranges = np.where(scatters, 0.0, np.ptp(here, axis=0))
+    before = np.arange(1.0, rows.size)
+    sums = np.cumsum(here[:, np.argmax(ranges)])[:-1]
+    first = 1 + np.argmax(sums**2 / (before * before[::-1])) if np.any(ranges) else rows.size
+    return rows[:first], rows[first:]
 
 
 def _extent(x: np.ndarray) -> float:

@@ -330,8 +330,7 @@ def _summary(
     parameters = _parameters(problem, u, whole, scaling)
     first = [*examined.said, *_units(problem, parameters, plain.fits)]
     noise = problem.setup.noise
-    # Of a dense table the noise of single rows is not used, whatever the setup gives.
-    exact = () if dense else tuple(n for n in ("slip", "load") if getattr(noise, n) is None)
+    exact = tuple(n for n in ("slip", "load") if getattr(noise, n) is None)
     law_error = math.sqrt(sum(p * of.size**2 for p, of in zip(share, LAW_ERRORS, strict=True)))
     misfit = _misfit(exact, plain, missed, law_error, fits)
     off_prior = _off_prior(problem, plain)
