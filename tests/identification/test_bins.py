@@ -132,7 +132,7 @@ def test_correlated_rows_do_not_make_the_estimate_surer(tmp_path):
 
 @pytest.mark.parametrize("kind", ["held", "ramp", "any order"])
 def test_a_noisy_slip_does_not_draw_the_modulus_down(tmp_path, kind):
-    """Slips with a noise of 0.02 under three loads, held for twelve rows, going up, or in any order.
+    """Slips with a noise of 0.02 under three loads, held for twelve rows, rising, or in any order.
 
     Bins that were chosen by such slips have other true slips than their means: K was 13 to 15 %
     low, also with the noise given.
