@@ -368,3 +368,10 @@ def test_a_moving_wheel_shows_no_zero(wheel):
     wheel.observe([STEADY] * 30)
     wheel.observe([HALT, HALT, STEADY] * 10)
     assert wheel.now.rests == 0.0
+
+
+def test_a_standing_wheel_of_a_rover_shows_no_zero(wheel):
+    """Its axles brace against each other: only their sum is the weight on the slope."""
+    wheel.set.load_varies = 1
+    wheel.observe([STEADY, *[HALT] * 40])
+    assert wheel.now.rests == 0.0

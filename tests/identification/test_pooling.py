@@ -11,6 +11,7 @@ from soil_env.identification.online.borders import share_at
 from soil_env.identification.online.memory import (
     COHESION,
     MEMORY,
+    PLACE,
     PUBLISHED,
     SOIL,
     TANGENT,
@@ -254,7 +255,8 @@ def test_a_border_that_the_front_wheel_has_found_begins_there_for_the_next():
     """As soon as the wheel behind, an axle's distance further back, comes to it; once."""
     rover = Rover(FRONT, REAR)
     rover.memory["borders"][0] = 1
-    rover.memory["border"][0] = 4.2
+    rover.memory["border"][0] = 4.3  # where it was felt
+    rover.memory["u"][0, PLACE] = 4.2  # where the fit has it
     rover.tell(0)
     middle = 4.2 + 0.6
     for lengths, crossing in ((-0.52, 0.0), (-0.48, 1.0), (-0.4, 1.0)):
@@ -270,7 +272,7 @@ def test_a_wheel_goes_on_behind_borders_that_the_front_wheel_has_forgotten():
     found = pooling.SOILS + 2
     for number in range(1, found + 1):
         rover.memory["borders"][0] = number
-        rover.memory["border"][0] = number
+        rover.memory["u"][0, PLACE] = number
         rover.tell(0)
     left = found - pooling.SOILS + 1
     middle = left + 0.6

@@ -337,14 +337,15 @@ STANDSTILL = 3.0  # readings after which a wheel that stands has settled, own ch
 @compiled
 def record_rest(memory, reading, setting):
     """Average what a settled, standing wheel pulls beyond its weight on the slope: the zero of the
-    pull, over about the last `RESTS_KEPT` readings. Those without pull or pitch do not count.
+    pull, over about the last `RESTS_KEPT` readings. Those without pull or pitch do not count, nor
+    does a wheel of a rover: its axles brace against each other.
     """
     white = setting.white[0]
     variance = (white.drawbar_pull / setting.weight) ** 2 + white.pitch**2
     standing = abs(reading.rim_speed) < SLOWEST and abs(reading.speed) < SLOWEST
     memory.standing = memory.standing + 1.0 if standing else 0.0
-    if memory.standing > STANDSTILL and variance < 1.0:
-        pull, _, _ = combined_pull(memory, reading, setting)
+    if memory.standing > STANDSTILL and variance < 1.0 and not setting.load_varies:
+        pull = combined_pull(memory, reading, setting)[0]
         slope = memory.mass * setting.gravity * math.sin(reading.pitch) / setting.weight
         memory.rests = min(memory.rests + 1.0, RESTS_KEPT)
         memory.rest_pull += (pull - slope - memory.rest_pull) / memory.rests

@@ -26,6 +26,7 @@ from .memory import (
     ESTIMATES,
     KNOWLEDGE,
     OF_GROUND,
+    PLACE,
     PUBLISHED_COHESION,
     PUBLISHED_LN_K,
     PUBLISHED_PHI,
@@ -88,7 +89,7 @@ def keep_knowledge(pool, memory, setting, work):
     """
     s = memory.borders % SOILS
     pool.borders[s] = memory.borders
-    pool.border_places[s] = memory.border
+    pool.border_places[s] = memory.u[PLACE]  # of the fit: sharper than where it was felt
     join(memory, memory.u, setting.soil_mean, setting.soil_precision, work)
     solve_joined(work)
     for i in range(SHARED):

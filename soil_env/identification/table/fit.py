@@ -329,8 +329,7 @@ def _summary(
     labels = tuple(LABELS[name] for name in free)
     parameters = _parameters(problem, u, whole, scaling)
     first = [*examined.said, *_units(problem, parameters, plain.fits)]
-    noise = problem.setup.noise
-    exact = tuple(n for n in ("slip", "load") if getattr(noise, n) is None)
+    exact = tuple(n for n in ("slip", "load") if getattr(problem.setup.noise, n) is None)
     law_error = math.sqrt(sum(p * of.size**2 for p, of in zip(share, LAW_ERRORS, strict=True)))
     misfit = _misfit(exact, plain, missed, law_error, fits)
     off_prior = _off_prior(problem, plain)
