@@ -144,6 +144,10 @@ def test_behind_a_border_a_soil_without_points_is_not_known():
     wheel.observe([STEADY._replace(rim_speed=2.0 * STEADY.rim_speed), STEADY] * 12)
     assert wheel.now.crossing == 0.0 and wheel.now.points == 0
     assert Status(wheel.now.status) == Status.NOT_EXCITED
+    told = Identified(PLAIN)  # of a border before its first point
+    told.begin_border(told.now.place, (0.1 * LENGTH) ** 2)
+    told.observe([STEADY._replace(rim_speed=2.0 * STEADY.rim_speed), STEADY] * 12)
+    assert Status(told.now.status) == Status.NO_DATA
 
 
 def test_cells_on_a_border_have_an_error_of_their_place():

@@ -328,7 +328,8 @@ def observe(memories, k, reading, alone, setting, work):
             largest = max(memory.old_form_error, LARGE_FORM_ERROR * setting.model_error)
             memory.form_error = min(memory.form_error, largest)
             take_fresh(memory)
-    if outcome > HELD:
+    # a wheel without a point that another one has told of a border knows no more than before
+    if outcome == RENEWED or (outcome == MOVED and memory.status != Status.NO_DATA.value):
         memory.status = status_of(memory, _contradicted(memory, setting), setting)
     return outcome
 

@@ -34,6 +34,12 @@ OUTLIER_AT = 8.0  # [sd] from the median of a bin, beyond which a value is an ou
 #: choice.
 _PART = 4
 _WIDE = 1.0  # [correlation lengths] extent from which a bin is cut whatever its parts are
+# [correlation lengths] range from which a condition that scatters over a whole series does more
+# than that: it alternates, and so rows are sorted by value; own choice
+_MOVES = 0.5
+# [correlation lengths] standard deviation in a bin of consecutive rows, above which the series goes
+# to and fro too often for such bins; own choice
+_TOO_WIDE = 0.45
 # Correlation lengths of the coordinates in which rows are compared.
 _LENGTHS = {name: LENGTHS[name] for name in LENGTHS if name != "elapsed"} | {
     "log_slip": LAW_LENGTHS[2]["log_slip"]
@@ -45,7 +51,7 @@ class Binned(NamedTuple):
     """A table in bins."""
 
     table: Table
-    setup: Setup  # without the noise of single rows
+    setup: Setup  # without the noise of the channels, which is that of single rows
     words: str  # on what was done; "" for a table that is taken as it is
 
 
@@ -53,16 +59,24 @@ def binned(table: Table, setup: Setup) -> Binned:
     """The table with one row a bin if it is dense, as it is otherwise.
 
     Dense are tables of more than `DENSE` rows, and series of more than `REPEATED` with `FEWEST`
-    rows or more a bin on average. In a series a row is mostly near the one before (`NEAR`); its
-    bins are of consecutive rows, so that none is chosen by the noise of its slip. A measured value
-    of a bin is the mean without outliers, whose noise is dropped. That of slip and load is as the
-    setup has it for rows that were sorted by value, and over the root of their number in a series.
+    rows or more a bin on average. In a series a row is mostly near the one before (`NEAR`). Bins of
+    one whose conditions are held or change slowly are of consecutive rows, so that none is chosen
+    by the noise of its slip. Those of others are of like values. A measured value of a bin is the
+    mean without outliers, whose noise is dropped. That of slip and load is as the setup has it, of
+    bins of consecutive rows over the root of their median number.
     """
     if len(table) <= REPEATED:
         return Binned(table, setup, "")
     x = _coordinates(table, setup)
-    series = np.median(np.max(np.abs(np.diff(x, axis=0)), axis=1)) < NEAR
-    bins = _bins(x, MOST_OF_SERIES, _split) if series else _bins(x, MOST, _cut)
+    steps = np.max(np.abs(np.diff(x, axis=0)), axis=1, initial=0.0)
+    series = np.median(steps) < NEAR
+    most = MOST_OF_SERIES if series else MOST
+    in_order = series and not np.any(_scatters(x) & (np.ptp(x, axis=0) > _MOVES))
+    bins = _bins(x, most, _split if in_order else _cut)
+    spreads = [np.max(np.std(x[rows], axis=0), initial=0.0) for rows in bins]
+    if in_order and max(spreads) > _TOO_WIDE:
+        in_order = False
+        bins = _bins(x, most, _cut)
     if len(table) <= DENSE and not (series and len(table) >= FEWEST * len(bins)):
         return Binned(table, setup, "")
     columns: dict[str, Any] = {
@@ -82,14 +96,15 @@ def binned(table: Table, setup: Setup) -> Binned:
         columns[channel] = np.array(means)
     columns |= dict.fromkeys(NOISE, np.full(len(bins), math.nan))
     sizes = [rows.size for rows in bins]
-    root = math.sqrt(np.median(sizes)) if series else 1.0
+    root = math.sqrt(np.median(sizes)) if in_order else 1.0
     given = {n: sd / root for n in ("slip", "load") if (sd := getattr(setup.noise, n))}
     words = (
         f"The table is dense: its {len(table)} rows are taken in {len(bins)} bins of {min(sizes)} "
         f"to {max(sizes)} rows at about the same conditions. The mean of a bin counts as one "
-        "value. Its noise is the scatter of the means, but for slip and load not what the setup "
-        "says of rows: errors that go on from row to row count once, unless they outlast a bin. A "
-        "row that is named stands for the bin that begins with it, and its values are means."
+        "value, and its noise is the scatter of the means: errors that go on from row to row "
+        "count once, unless they outlast a bin. Of the noise in the setup only that of slip and "
+        "load is used. A row that is named stands for the bin that begins with it, and its values "
+        "are means."
     )
     if outliers:
         words += f" Values left out that are far from the others of their bin: {outliers}."
@@ -141,18 +156,24 @@ def _bins(x: np.ndarray, most: int, cut: Callable[..., Any]) -> list[np.ndarray]
     return sorted(bins, key=lambda rows: rows[0])
 
 
+def _scatters(x: np.ndarray) -> np.ndarray:
+    """[D] True for coordinates x [N, D] that scatter from row to row.
+
+    Their squared differences from row to row sum to more than those from the mean: to twice as
+    much, if they are white (von Neumann 1941, Ann. Math. Stat. 12:367-395).
+    """
+    return np.sum(np.diff(x, axis=0) ** 2, axis=0) >= np.sum((x - np.mean(x, axis=0)) ** 2, axis=0)
+
+
 def _split(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two parts of consecutive `rows` of x [N, D], before and after the largest change of their
     mean (binary segmentation: Scott & Knott 1974, Biometrics 30:507-512).
 
-    The change is of the coordinate of the largest range among those that do more than scatter from
-    row to row. A coordinate scatters where its squared differences from row to row sum to more than
-    those from the mean (von Neumann 1941, Ann. Math. Stat. 12:367-395: twice as much, if it is
-    white). The second part is empty where all do.
+    The change is of the coordinate of the largest range among those that do more than scatter
+    (`_scatters`). The second part is empty where all do.
     """
     here = x[rows] - np.mean(x[rows], axis=0)
-    scatters = np.sum(np.diff(here, axis=0) ** 2, axis=0) >= np.sum(here**2, axis=0)
-    ranges = np.where(scatters, 0.0, np.ptp(here, axis=0))
+    ranges = np.where(_scatters(here), 0.0, np.ptp(here, axis=0))
     before = np.arange(1.0, rows.size)
     sums = np.cumsum(here[:, np.argmax(ranges)])[:-1]
     first = 1 + np.argmax(sums**2 / (before * before[::-1])) if np.any(ranges) else rows.size
@@ -161,7 +182,7 @@ def _split(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _extent(x: np.ndarray) -> float:
     """Range of the rows x [N, D] along the coordinate where it is largest."""
-    return np.max(np.ptp(x, axis=0))
+    return np.max(np.ptp(x, axis=0), initial=0.0)
 
 
 def _cut(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -531,7 +531,7 @@ def _doubts(
     not modelled (`_not_modelled`), weights that have not settled.
 
     `off_prior`: sentences of `_off_prior` that are not said elsewhere. `dense`: the rows are bins,
-    and the noise of single rows is not used.
+    and the noise of the channels, that of single rows, is not used.
     """
     words = []
     low, high = problem.bounds
