@@ -318,9 +318,10 @@ def choose(rigs: list[Rig], starts: int, growths: tuple[float, ...]) -> Law:
 def figures(name: str, rig: Rig, law: Law, starts: int, folds: int | None) -> list[dict]:
     """Rows (`_row`) of the table of the rig `name`: rms errors of the predictions by channel.
 
-    There is one for each of the `splits` and each motion with rows: driving, braked or locked.
+    There is one for each of the `splits` and each motion with rows: driving, braked or locked. Of
+    the split "driving rows" the driving ones are those that were fitted.
 
-    `starts` as of `fit`; only the first `folds` of each split, None: all.
+    `starts` as of `fit`; `folds`: number of folds of each split that are used, None for all.
     """
     out = []
     motions = {

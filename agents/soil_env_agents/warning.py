@@ -167,10 +167,10 @@ class Drives:
 
     @property
     def ahead(self) -> np.ndarray:
-        """Seconds of driving until the wheel stops for good [periods, courses], negative after
-        that; +inf on courses on which it is not immobilised.
+        """Seconds of driving until the last period in which the furthest point advanced by `least`
+        [periods, courses], negative after that; +inf on courses that do not end immobilised.
         """
-        # Periods in which the wheel gets on, and the last of each course.
+        # Periods in which the wheel makes progress, and the last of each course.
         mobile = self.driving & (np.diff(self.best, axis=0, prepend=0.0) >= self.least)
         last = np.where(mobile.any(axis=0), len(mobile) - 1 - np.argmax(mobile[::-1], axis=0), 0)
         return np.where(np.isin(self.cause, _STUCK), -self.since(last), np.inf)

@@ -500,9 +500,9 @@ def _unnamed(problem: Problem, base: Evidence, nearest: Names) -> list[Entry]:
 
 
 def log_prior(names: Names, of_rig: Mapping[str, float]) -> float:
-    """Log prior odds of a set of effects against the base model.
+    """Log prior odds of a set of effects against the base model without effects.
 
-    `of_rig`: odds of errors of the instrument over the usual ones, by name (`odds_factors`).
+    `of_rig`: factor on `RIG_ODDS` of each error of the instrument, by name (`odds_factors`).
     """
     of = [RIG_ODDS * of_rig[name] if name in INSTRUMENT else ODDS for name in names]
     return sum(map(math.log, of))

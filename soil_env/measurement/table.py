@@ -267,10 +267,10 @@ def _csv_cells(
             lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
     except OSError as error:
         raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None
-    except UnicodeDecodeError as error:
+    except UnicodeDecodeError:
         raise ParameterError(
-            f"{path}: not UTF-8 text (byte {error.start}): expected a CSV file in UTF-8, no "
-            "Parquet or Excel file (in a spreadsheet: save as CSV UTF-8)"
+            f"{path}: not UTF-8 text: expected a CSV file in UTF-8, no Parquet or Excel file (in a "
+            "spreadsheet: save as CSV UTF-8)"
         ) from None
     except csv.Error as error:
         raise ParameterError(f"{path}: not a CSV file ({error})") from None

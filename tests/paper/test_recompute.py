@@ -70,7 +70,9 @@ def test_simpson_converges_to_the_quadrature():
 @pytest.mark.parametrize("e", FIXED_COHESION)
 @pytest.mark.parametrize("soil", [(30.0, 0.03, 4e5), (100.0, 0.06, -2e5)])
 def test_derivatives_against_central_differences(e, soil):
-    """At a soil and outside what a soil can be, where the plain iteration goes."""
+    """At a physical soil, and at one that is not (phi > 90 deg, S < 0), as steps of Newton-Raphson
+    without backtracking may be.
+    """
     at = model.forces(soil, *MEASURED[:2], e)[:, 3:6] * [math.pi / 180.0, 1.0, 1.0]
     for k, step in enumerate(1e-5 * np.diag(soil)):
         ahead, behind = (compare.prediction(np.add(soil, s * step), e)[:, 0] for s in (1, -1))

@@ -177,9 +177,8 @@ def test_estimate_in_the_observation():
 
 
 def test_the_observation_follows_from_readings_alone():
-    """With the readings held, no number of the true state shows, but the commanded halt.
-
-    The estimator is given nothing but the record of the sensors.
+    """With the readings held, the observation does not depend on the true state, but for the
+    commands (last action, rim command) and the odometer, which sums readings.
     """
     sim = simulation("blind")
     for _ in range(30):
@@ -193,7 +192,7 @@ def test_the_observation_follows_from_readings_alone():
         for name in state.dtype.names:
             shown = name in ("last_action", "rim_command", "halt_left", "odometer")
             if not shown and state.dtype[name].kind == "f":
-                state[name] *= factor
+                state[name] = factor * state[name] + (factor - 1.0)
         seen.append(written(sim, sample))
     np.testing.assert_array_equal(*seen)
 

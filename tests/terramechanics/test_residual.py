@@ -69,11 +69,13 @@ def table_of(function, **axes):
 
 
 def test_a_table_is_linear_between_its_nodes_and_held_at_its_ends():
-    """Of the slip with its sign, the load and the pass, by a product that is linear in each."""
+    """Over slip (with its sign), load and pass. The functions are linear in each between nodes,
+    with a kink at a node of the slip.
+    """
 
     def values(at):
         return (
-            at["slip"] + at["load"],
+            abs(at["slip"] + 0.1) + at["load"],
             (1.0 + at["slip"]) * (2.0 + at["load"]) * at["pass"],
             at["pass"],
         )

@@ -34,8 +34,9 @@ def _newton(x, slip, load, memory, setting, work):
     """One step of Newton's method for the steady sinkage z [m] at a `slip` under a `load` [N], from
     x = ln z. Return (ln z after it, slope of the condition by ln z at x, ratio q of slip-sinkage).
 
-    Leaves the forces at x in `work.contact`. Where cohesion alone carries the load the wheel rises
-    by a whole `LARGEST_STEP`. z stays within `SHALLOWEST` and `DEEPEST`.
+    The condition is ln s(z) + n ln q - ln S = 0; its slope is at most `FLATTEST`. Leaves the forces
+    at x in `work.contact`. Where cohesion alone carries the load ln z falls by a whole
+    `LARGEST_STEP`. z stays within `SHALLOWEST` and `DEEPEST`.
     """
     u = memory.soil
     n = u[EXPONENT]

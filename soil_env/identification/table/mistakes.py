@@ -531,7 +531,8 @@ def examine(table: Table, setup: Setup) -> Examined:
     A channel of one value, or of forces far too small for newtons, ends the examination. Else first
     come wrong rows, a load far from all others, outliers far from every other value (`gross`) and
     other readings; `load_doubt` is asked where there are none of these. Doubts of the setup and the
-    grades come last. Outliers stay in the table, and `left_out` names them (`cells`). Raises
+    grades come last. Outliers stay in the table: `noise.used` masks them, and `left_out` names
+    them. Raises
     `ParameterError` where the table cannot be right (`_readings_doubted`), and for what `prepare`
     refuses, too little noise or too few values.
     """

@@ -38,7 +38,7 @@ def _other_class(owner, classes, one):
 @inlined
 def _unused_class(course, p, classes):
     """Random class for a patch p < `classes`, from the stream of the course, among those that no
-    patch before has on its route 0. Each of them is equally likely.
+    earlier patch has (these have one route, route 0). Each of them is equally likely.
     """
     left = classes - p
     pick = int(uniform(course) * left)
@@ -126,8 +126,9 @@ def set_route(course, p, route):
 
 @compiled
 def next_fork(wheel, course, border):
-    """Index of the patch after the wheel's if it has two routes and the wheel has never been at the
-    border before it, else -1. That border begins half of `border` [m] before the patch.
+    """Index of the patch after the wheel's if it is drawn, has two routes, and the furthest point
+    of the wheel is not yet on the border before it, else -1. That border is `border` [m] long, with
+    its middle where the patch begins.
     """
     ahead = wheel.patch + 1
     if ahead >= course.drawn or course.forks[ahead].routes < 2:

@@ -150,12 +150,12 @@ def switched_on(fx: Effects | None) -> Effects | None:
 def acting_effects(fx: Effects) -> Effects | None:
     """The effects that act on a wheel in a simulated world, as compiled code takes them.
 
-    Left out are errors of its sensors and the weight on a slope, which the world has anyway (both
-    are in `Effect.sensed`), and a slip-sinkage that is only `apparent`.
+    Left out are errors of its sensors and the weight along a slope, which the world computes by
+    itself (both are in `Effect.sensed`), and a slip-sinkage that is only `apparent`.
     """
     sensed = (f"{effect.name}_{name}" for effect in CATALOGUE.values() for name in effect.sensed)
     fx = fx._replace(**{name: getattr(NO_EFFECTS, name) for name in sensed})
-    if fx.slip_sinkage_apparent > 0.0:  # a sinkage that is measured, and changes no stress
+    if fx.slip_sinkage_apparent > 0.0:  # of the measured sinkage only, not of the stresses
         fx = fx._replace(slip_sinkage_gain=0.0, slip_sinkage_apparent=0.0)
     return switched_on(fx)
 
