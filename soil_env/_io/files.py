@@ -217,8 +217,8 @@ def check_outputs(folder: Path, names: Iterable[str] = ()) -> None:
     Of a folder that does not exist the nearest one above is tried, by a temporary file. A name may
     have one folder in it, "plots/a.png". Existing files may be replaced, folders not.
     """
-    names = tuple(names)
-    for place in sorted({folder, *((folder / name).parent for name in names)}):
+    paths = [folder / name for name in names]
+    for place in sorted({folder, *(path.parent for path in paths)}):
         there = next(p for p in (place.absolute(), *place.absolute().parents) if p.exists())
         if not there.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, "is a file: expected a folder", str(there))
@@ -229,7 +229,7 @@ def check_outputs(folder: Path, names: Iterable[str] = ()) -> None:
             raise OSError(
                 error.errno, f"cannot be written ({error.strerror})", str(place)
             ) from None
-    for path in (folder / name for name in names):
+    for path in paths:
         if path.is_dir():
             raise IsADirectoryError(
                 errno.EISDIR, "is a folder: expected a file that can be replaced", str(path)

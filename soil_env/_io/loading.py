@@ -115,17 +115,18 @@ class Checked:
         own: typing.Any = type(self)
         for f in dataclasses.fields(own):
             hint = _hints(own)[f.name]
+            origin = typing.get_origin(hint)
             items = typing.get_args(hint)
             value = getattr(self, f.name)
-            if typing.get_origin(hint) is typing.Literal and value not in items:
+            if origin is typing.Literal and value not in items:
                 raise FieldError(self, f.name, str(unknown_value(value, items)))
             parts = [k for k in (hint, *items) if isinstance(k, type) and issubclass(k, Checked)]
-            is_part = typing.get_origin(hint) in (None, typing.Union, types.UnionType)
+            is_part = origin in (None, typing.Union, types.UnionType)
             if is_part and parts and not isinstance(value, hint):
                 expected = f"a {parts[0].__name__}{' or None' if items else ''}"
                 raise FieldError(self, f.name, f" = {said(value)}: expected {expected}")
             if "unit" in f.metadata and not (value is None and type(None) in items):
-                if typing.get_origin(hint) is tuple and not isinstance(value, tuple):
+                if origin is tuple and not isinstance(value, tuple):
                     raise FieldError(self, f.name, f" = {said(value)}: expected a tuple")
                 _check_quantity(self, f, value)
             object.__setattr__(self, f.name, _convert(hint, value, f"{own.__name__}.{f.name}"))

@@ -46,9 +46,14 @@ def command(recording: Path, map_file: Path, out: Path) -> None:
     """
     log_map = read_map(map_file)
     check_own(out, (*ALWAYS, "steady.csv", "setup.yaml"), (recording, map_file))
-    columns = (TextColumn("reading"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
     with Progress(
-        *columns, console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()
+        TextColumn("reading"),
+        BarColumn(),
+        DownloadColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+        disable=not sys.stderr.isatty(),
     ) as progress:
         task = progress.add_task("reading", total=None)
         log = read_recording(

@@ -70,7 +70,17 @@ from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, Effects
 from soil_env.terramechanics.effects.entry import Bench
 from soil_env.terramechanics.model import USUAL_DENSITY, Rows
 
-from .instrument import LAWS, LISTED, Choice, Choices, in_balance, nuisances, reading, true_rows
+from .instrument import (
+    LAWS,
+    LISTED,
+    Choice,
+    Choices,
+    effect_names,
+    in_balance,
+    nuisances,
+    reading,
+    true_rows,
+)
 from .unnamed import changed, factors, loaded
 
 PRIOR_WIDTH = 1.5  # factor of the sd of the setup's priors
@@ -532,9 +542,12 @@ class Law:
 
         def outcome(change: StressChange) -> np.ndarray:
             """[N, 3] output at u under a change of the stresses."""
-            soil = values | change.soil
-            guess = OFF_GUESS * self.guess
-            return self.problem.predict(soil, self.choices, guess, peak_shift=change.peak_shift)
+            return self.problem.predict(
+                values | change.soil,
+                self.choices,
+                OFF_GUESS * self.guess,
+                peak_shift=change.peak_shift,
+            )
 
         return by_stresses(outcome, self.problem.known | values, sinkage)
 
@@ -572,7 +585,7 @@ class Law:
             moved = np.array([name in LAWS[choice.effect].moves for name in CHANNELS])
             units = [ANY_FORM * moved] if LAWS[choice.effect].any_form else np.eye(3)[moved]
             blocks += [in_channels(functions, factor * unit) for unit in units]
-        named = tuple(c.effect for c in self.choices)
+        named = effect_names(self.choices)
         data = problem.data
         rig = nuisances(data.setup, problem.bench, data.rows, finite(output), named)
         return [rig, np.concatenate(blocks, axis=2), *laws]

@@ -76,8 +76,9 @@ def model_of(problem: Problem, choices: Sequence[Choice], values: Values) -> Whe
     if problem.data.lugs_unknown and "grousers" not in effects:
         wheel = replace(wheel, grouser_height=0.0)  # a height was assumed only to try grousers
     soil = replace(soil, source="calibrated by soil_env.discovery")
-    validity = seen(problem.data.rows)
-    return WheelSoilModel(wheel, soil, effects, gravity=setup.gravity, validity=validity)
+    return WheelSoilModel(
+        wheel, soil, effects, gravity=setup.gravity, validity=seen(problem.data.rows)
+    )
 
 
 def parameters(problem: Problem, choice: Choice, values: Values) -> dict[str, float]:

@@ -101,5 +101,6 @@ def at_curves(curves: list[Curve | None], rows: Rows) -> np.ndarray:
     without one.
     """
     nothing = np.full(rows.slip.size, np.nan)
-    values = [nothing if curve is None else curve.at(rows.slip, rows.load) for curve in curves]
-    return np.stack(values, axis=1)
+    return np.stack(
+        [nothing if curve is None else curve.at(rows.slip, rows.load) for curve in curves], axis=1
+    )

@@ -47,7 +47,7 @@ from soil_env.identification.table.form_error import (
 from soil_env.identification.table.priors import bounds_of
 
 from .calibrate import ALL_LAW_LENGTHS, Fit, Law, Problem, Sizes, sinkage_guess
-from .instrument import INSTRUMENT, Choice, Choices, Names
+from .instrument import INSTRUMENT, Choice, Choices, Names, effect_names
 
 log_sum = np.logaddexp.reduce  # on short arrays a tenth of the time of `logsumexp`
 #: Size beta of an effect's form error, relative to what it adds: published forms differ by 10 to
@@ -89,7 +89,7 @@ class Evidence:
     @property
     def names(self) -> Names:
         """Names of the effects of the model."""
-        return tuple(c.effect for c in self.fit.choices)
+        return effect_names(self.fit.choices)
 
     def typical(self, kind: str) -> float:
         """Root mean square of a size over its posterior; `kind`: its field of `Sizes`, one that is
@@ -153,7 +153,7 @@ def weigh(problem: Problem, fit: Fit, over: SizeGrid | None = None) -> Evidence:
     It is marginal over the sizes of the grid `over`, or of `grid` without it, and over the
     `noise_scales` of a noise that is estimated.
     """
-    own = grid(tuple(c.effect for c in fit.choices))
+    own = grid(effect_names(fit.choices))
     sizes, log_prior, errors, table, first = over or plain_grid(fit, *own)
     scatter = np.array([s.scatter for s in sizes])
     p = fit.u.size

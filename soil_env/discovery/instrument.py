@@ -245,6 +245,11 @@ Choices = tuple[Choice, ...]
 Names = tuple[str, ...]  # a set of effects
 
 
+def effect_names(choices: Choices) -> Names:
+    """Names of the effects of these choices, in their order."""
+    return tuple(c.effect for c in choices)
+
+
 def _stated(calibration: Calibration) -> dict[str, float | None]:
     """Standard deviation by name of each error of a rig, as the setup states it or by default; None
     where the default depends on the load.

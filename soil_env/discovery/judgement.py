@@ -163,8 +163,7 @@ def closed_interval(
     weight = np.ones((_CLOSED_DRAWS, problem.data.rows.slip.size))
     for group in folds(problem.data):
         count = group.max() + 1
-        equal = np.full(count, 1.0 / count)
-        weight *= rng.multinomial(count, equal, size=_CLOSED_DRAWS)[:, group]
+        weight *= rng.multinomial(count, np.full(count, 1.0 / count), size=_CLOSED_DRAWS)[:, group]
     total = []  # [draws] gap before, gap after
     for held in (before, after):
         square = np.where(problem.used, ((problem.data.y - held) / problem.rms_noise) ** 2, 0.0)
@@ -193,5 +192,7 @@ def shares(problem: Problem, held: dict[Names, np.ndarray]) -> dict[str, float |
         if share is None:  # there is no gap, whatever is added
             return dict.fromkeys(full)
         closes[names] = share
-    others = {n: tuple(m for m in full if m != n) for n in full}
-    return {n: 0.5 * (closes[n,] + closes[full] - closes[others[n]]) for n in full}
+    return {
+        n: 0.5 * (closes[n,] + closes[full] - closes[tuple(m for m in full if m != n)])
+        for n in full
+    }

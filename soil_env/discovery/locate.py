@@ -60,6 +60,7 @@ def boxes(problem: Problem) -> tuple[tuple[Limits, ...], np.ndarray]:
     and so is a box of the same rows as one before it in this order.
     """
     varied = problem.data.varied
+    rows = problem.data.rows.slip.size
     limits: list[Limits] = [{}]
     for name, c in varied.items():
         ends = combinations(range(c.levels + 1), 2)
@@ -68,13 +69,13 @@ def boxes(problem: Problem) -> tuple[tuple[Limits, ...], np.ndarray]:
         limits += [{one: p, two: q} for p in _half_lines(c.levels) for q in _half_lines(d.levels)]
     found: dict[bytes, Limits] = {}
     for box in limits:
-        inside = np.ones(problem.data.rows.slip.size, dtype=bool)
+        inside = np.ones(rows, dtype=bool)
         for name, (a, b) in box.items():
             inside &= (varied[name].level >= a) & (varied[name].level <= b)
         if inside.sum() >= LEAST_VALUES:
             found.setdefault(inside.tobytes(), box)
     member = np.frombuffer(b"".join(found), dtype=bool)
-    return tuple(found.values()), member.reshape(len(found), problem.data.rows.slip.size)
+    return tuple(found.values()), member.reshape(len(found), rows)
 
 
 def _half_lines(levels: int) -> list[tuple[int, int]]:

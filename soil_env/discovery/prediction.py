@@ -393,13 +393,14 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
         is (tr(K^-1 dK) - a'dK a)/2. `IMPOSSIBLE` with the slope 0 beyond `MOST_LOG`, and where the
         covariance without unknowns is not positive definite.
         """
+        impossible = IMPOSSIBLE, np.zeros(x.size)
         if np.any(np.abs(x) > MOST_LOG):
-            return IMPOSSIBLE, np.zeros(x.size)
+            return impossible
         learnt = Learnt.from_logarithms(x)
         try:
             c = remainder.covariance(fit.output, learnt)
         except np.linalg.LinAlgError:
-            return IMPOSSIBLE, np.zeros(x.size)
+            return impossible
         j = _whitened(c, fit.jacobian)
         of_unknowns = cholesky(np.eye(fit.u.size) + j.T @ j, lower=True)
         b = solve_triangular(of_unknowns, j.T, lower=True).T  # K^-1 = I - b b', whitened
@@ -427,6 +428,11 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
         return value, slope
 
     # What the table does not show has only the slope of its prior, and stays at its usual value.
-    options = {"maxiter": STEPS_TO_LEARN}
-    found = minimize(cost, start.logarithms, jac=True, method="L-BFGS-B", options=options)
+    found = minimize(
+        cost,
+        start.logarithms,
+        jac=True,
+        method="L-BFGS-B",
+        options={"maxiter": STEPS_TO_LEARN},
+    )
     return Learnt.from_logarithms(found.x)

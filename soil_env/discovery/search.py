@@ -35,6 +35,7 @@ from .instrument import (
     Choice,
     Choices,
     Names,
+    effect_names,
     odds_factors,
     ruled_out,
     titles,
@@ -377,7 +378,7 @@ class _Sets:
     def add(self, choices: Choices, near: Evidence | None) -> Evidence:
         """Evidence of a set in these forms, fitted if it was not before; `near`: as in `settle`."""
         choices = tuple(sorted(choices))
-        in_forms = self.found.setdefault(tuple(c.effect for c in choices), {})
+        in_forms = self.found.setdefault(effect_names(choices), {})
         if choices not in in_forms:
             in_forms[choices] = settle(self.problem, choices, near)
         return in_forms[choices]
@@ -526,11 +527,11 @@ def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Say) -> None:
     order = sorted(promise, key=lambda p: -promise[p])
     in_form: dict[Names, Choices] = {}
     for pair in order:
-        in_form.setdefault(tuple(c.effect for c in pair), pair)
+        in_form.setdefault(effect_names(pair), pair)
     tried = list(in_form)[:_PAIRS]
     # Many forms of one pair must not crowd out other pairs, and the first order chooses no form.
     for pair in (*order[:_PAIRS], *(in_form[s] for s in tried)):
-        say(f"with {titles(c.effect for c in pair)}")
+        say(f"with {titles(effect_names(pair))}")
         sets.add(pair, max((sets.best((c.effect,)) for c in pair), key=lambda e: e.log))
     for both in sorted(tried, key=lambda s: -sets.best(s).log)[:_FORMS]:
         best = sets.best(both)

@@ -320,8 +320,10 @@ def _sqlite(file: Path, wanted: set[str], notes: Notes, decoder: _Decoder) -> It
                     raise ParameterError(
                         f"{file}: {name} is no plain table of SQLite: expected a ROS 2 bag"
                     )
-            rows = base.execute("SELECT id, name, type FROM topics")
-            topics = {i: (str(name), str(kind)) for i, name, kind in rows}
+            topics = {
+                i: (str(name), str(kind))
+                for i, name, kind in base.execute("SELECT id, name, type FROM topics")
+            }
             count = base.execute("SELECT max(rowid) FROM messages").fetchone()[0] or 1
             notes.topics |= dict(topics.values())
             _define(base, decoder, {kind for name, kind in topics.values() if name in wanted})
@@ -332,8 +334,9 @@ def _sqlite(file: Path, wanted: set[str], notes: Notes, decoder: _Decoder) -> It
             )
             for row, topic, time, data in base.execute(query + " ORDER BY rowid", ids):
                 name, kind = topics[topic]
-                decode = partial(decoder.cdr, kind, f"{file}: topic {name}", data)
-                yield Message(name, time, kind, decode)
+                yield Message(
+                    name, time, kind, partial(decoder.cdr, kind, f"{file}: topic {name}", data)
+                )
                 if row % _BETWEEN_REPORTS == 0:
                     notes.report(int(size * min(row / count, 1.0)))
         # The text of an error may quote bytes of the file that are no UTF-8.

@@ -95,15 +95,15 @@ def report_of(
     }
     estimates = _estimates_picture(found, log.period)
     readings = _readings_picture(log, steady, log_map)
-    shaded = "Readings over time in SI units; steady windows are shaded."
-    grey = (
-        "The soil as identified, with 95 % intervals; grey where the estimate is the prior or held."
-    )
     body = render(
         "soil_env.logs:report.html",
         commands=commands(parts),  # to run next, in the folder of the page
-        readings=html_image(readings, shaded),
-        estimates=html_image(estimates, grey),
+        readings=html_image(readings, "Readings over time in SI units; steady windows are shaded."),
+        estimates=html_image(
+            estimates,
+            "The soil as identified, with 95 % intervals; grey where the estimate is the prior or "
+            "held.",
+        ),
         **values,
     )
     written: dict[str, bytes | str] = {
@@ -137,15 +137,20 @@ def _channel_table(log: Aligned) -> Table:
     for name, c in log.channels.items():
         counted = [""] * 4
         if c.readings:
-            shares = (f"{c.interpolated:.0%}", f"{c.missing:.0%}")
-            counted = [str(c.readings), cell(c.per_second, ".1f"), *shares]
+            counted = [
+                str(c.readings),
+                cell(c.per_second, ".1f"),
+                f"{c.interpolated:.0%}",
+                f"{c.missing:.0%}",
+            ]
         known = log.readings[name][np.isfinite(log.readings[name])]
         span = "-"
         if known.size:
             span = f"{known.min():.4g} .. {known.max():.4g} {si_unit(name)}"
         rows.append((name, c.place, *counted, span))
-    header = ("reading", "source", "readings", "a second", "interpolated", "missing", "range")
-    return Table(header, rows)
+    return Table(
+        ("reading", "source", "readings", "a second", "interpolated", "missing", "range"), rows
+    )
 
 
 def _soil_table(found: Replay, exponent: float) -> Table:
@@ -161,8 +166,11 @@ def _soil_table(found: Replay, exponent: float) -> Table:
         cells = ("refused", "") if spread != spread else (f"{found.values[name][-1]:.4g}", error)
         unit += f", n {exponent:g}" if name == "sinkage_coefficient" else ""
         rows.append((words, *cells, unit, f"{learnt[name]:.2f}"))
-    header = ("parameter", "at the end", "1 sd", "unit", "least sd / prior sd")
-    return Table(header, rows, f"Status at the end: {Status(found.status[-1]).name}")
+    return Table(
+        ("parameter", "at the end", "1 sd", "unit", "least sd / prior sd"),
+        rows,
+        f"Status at the end: {Status(found.status[-1]).name}",
+    )
 
 
 def _ground_table(parts: list[Ground]) -> Table:
@@ -180,16 +188,24 @@ def _ground_table(parts: list[Ground]) -> Table:
                 f"{1e3 * e['shear_modulus']:.3g} mm +- {e['shear_modulus_relative_sd']:.0%}",
                 f"{e['sinkage_coefficient']:.3g} +- {e['sinkage_coefficient_relative_sd']:.0%}",
             )
-        time = (f"{g.begin:.1f}", f"{g.end:.1f}", cell(g.differs, ".2f"))
         span = f"{min(slip):.2f} to {max(slip):.2f}" if slip else ""
-        rows.append((g.number, *time, *cells, len(slip), span))
-    times = ("ground", "from [s]", "to [s]", "differs")
-    header = (*times, "friction angle", "K", "S", "points", "slip")
-    caption = (
+        rows.append(
+            (
+                g.number,
+                f"{g.begin:.1f}",
+                f"{g.end:.1f}",
+                cell(g.differs, ".2f"),
+                *cells,
+                len(slip),
+                span,
+            )
+        )
+    return Table(
+        ("ground", "from [s]", "to [s]", "differs", "friction angle", "K", "S", "points", "slip"),
+        rows,
         "differs: the probability that its soil is not that of the ground before; -: no current "
-        "estimate"
+        "estimate",
     )
-    return Table(header, rows, caption)
 
 
 def _figure(rows: int, height: float) -> tuple[Figure, np.ndarray]:

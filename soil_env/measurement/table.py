@@ -264,7 +264,11 @@ def _csv_cells(
             refuse_title(path, [re.split(r"[,;\t]", text[k]) for k in written[:TITLES]], REQUIRED)
             mark = next((m for m in ";\t" if m in first and "," not in first), ",")
             reader = csv.reader(text, strict=True, delimiter=mark)
-            lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
+            lines = [
+                (reader.line_num, cells)
+                for row in reader
+                if any(cells := [cell.strip() for cell in row])
+            ]
     except OSError as error:
         raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:
@@ -274,7 +278,6 @@ def _csv_cells(
         ) from None
     except csv.Error as error:
         raise ParameterError(f"{path}: not a CSV file ({error})") from None
-    lines = [(line, cells) for line, cells in lines if any(cells)]
     if not lines:
         raise ParameterError(f"{path}: empty file: expected a header line with column names")
     if mark != ",":

@@ -205,8 +205,9 @@ def on_the_curve(name: str) -> list[tuple[str, float, Row]]:
         ("Table 1, DP +5 %", above, OFF[1] * POINT.drawbar_pull),
     ]
     if name == "cohesion":
-        target = POINT.if_measured_drawbar_pull
-        printed.append(("Section 3.1", POINT.then_identified_cohesion, target))
+        printed.append(
+            ("Section 3.1", POINT.then_identified_cohesion, POINT.if_measured_drawbar_pull)
+        )
     rows = []
     for where, value, target in printed:
         ours = [pull(e, **{name: value}) for e in MODELS]
@@ -312,8 +313,7 @@ def box(*counts: int) -> Box:
         np.geomspace(S[0], S[1], counts[2]),
     )
     guesses = np.array(list(product(*sides)))
-    reached = [reaches(e, guesses, own) for e in FIXED_COHESION for own in (False, True)]
-    return Box(guesses, reached)
+    return Box(guesses, [reaches(e, guesses, own) for e in FIXED_COHESION for own in (False, True)])
 
 
 class Noisy(NamedTuple):

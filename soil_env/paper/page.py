@@ -50,13 +50,6 @@ def markdown(results: Results, command: str) -> str:
     """paper.md as text; `command` is the command line that it names as its origin."""
     rows = results.rows
     names = ("point", "table1", "table3", "fig3", "fig4")
-    tables = {f"{name}_table": _comparison(rows[name]) for name in names}
-    tables |= {
-        "table4_table": _ranges(results),
-        "corners": _corners(results),
-        "rules": _rules(),
-        "noise": _noise(results),
-    }
     own, printed, _ = sets(1).values()  # (soil, equations) of Table 2 and of Table 3 as printed
     # [%] by which the torques of the printed parameters are too low.
     low = -percent_above(prediction(*printed)[:, 1], prediction(*own)[:, 1])
@@ -64,21 +57,26 @@ def markdown(results: Results, command: str) -> str:
     fits = [*rows["fig3"][:-1], *rows["fig4"]]
     misses = np.abs([np.subtract(row.ours, row.printed) for row in fits])
 
-    values = {
+    return render(
+        "soil_env.paper:paper.md",
+        **{f"{name}_table": _comparison(rows[name]) for name in names},
+        table4_table=_ranges(results),
+        corners=_corners(results),
+        rules=_rules(),
+        noise=_noise(results),
         # Numbers of Table 1 that agree to the last digit.
-        "agree": sum(as_shown(r.ours[1], r.form) == r.printed for r in rows["table1"]),
-        "r": results,
-        "p": P,
-        "c": compare,
-        "command": command,
-        "low": (low.min(), low.max()),
-        "off": {rule.name: rule.differences for rule in rules()},
-        "miss": misses.max(axis=0),
-        "rms": pull_misfits(),
-        "misprint": rows["fig3"][-1].ours[1] - POINT.if_measured_drawbar_pull,
-        "reach": [100.0 * found.mean() for found in results.box.reached],
-    }
-    return render("soil_env.paper:paper.md", **values, **tables)
+        agree=sum(as_shown(r.ours[1], r.form) == r.printed for r in rows["table1"]),
+        r=results,
+        p=P,
+        c=compare,
+        command=command,
+        low=(low.min(), low.max()),
+        off={rule.name: rule.differences for rule in rules()},
+        miss=misses.max(axis=0),
+        rms=pull_misfits(),
+        misprint=rows["fig3"][-1].ours[1] - POINT.if_measured_drawbar_pull,
+        reach=[100.0 * found.mean() for found in results.box.reached],
+    )
 
 
 def _comparison(rows: Sequence[Row]) -> Table:
@@ -133,13 +131,18 @@ def _corners(r: Results) -> Table:
 
 def _rules() -> Table:
     """Table of Fig. 2: drawbar pull and difference by each rule of integration."""
-    heads = (f"{name}: DP [N]" for name in READINGS)
-    differences = (f"{name}: from (12), exact [%]" for name in READINGS)
     rows = [
         (r.name, *(f"{v:.2f}" for v in r.pulls), *(f"{v:+.2f}" for v in r.differences))
         for r in rules()
     ]
-    return Table(("resistance, integration", *heads, *differences), rows)
+    return Table(
+        (
+            "resistance, integration",
+            *(f"{name}: DP [N]" for name in READINGS),
+            *(f"{name}: from (12), exact [%]" for name in READINGS),
+        ),
+        rows,
+    )
 
 
 def _noise(r: Results) -> Table:
@@ -182,9 +185,8 @@ def _by_slip(figure: Figure) -> None:
             for axes, values in shown:
                 axes.plot(slip, values, ("--", "-")[k], color=f"C{colour}", label=label)
     target = POINT.drawbar_pull
-    at_point = compare.pull(compare.EXACT[1])
     pull.plot([POINT.slip], [target], "r^", label="printed")
-    error.plot([POINT.slip], [target - at_point], "r^")
+    error.plot([POINT.slip], [target - compare.pull(compare.EXACT[1])], "r^")
     pull.legend(fontsize=6)
 
 

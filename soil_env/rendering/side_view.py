@@ -99,8 +99,14 @@ def sample_of(simulation: Any, w: State) -> tuple[float, ...]:
     known = (math.nan,) * 6 if w["status"] is None else (*w["estimate"][:3], *w["sd"][:3])
     exponent = scenario.belief.sinkage_exponent
     same = sinkage_coefficient_at(soil, exponent, w["bearing_sinkage"])
-    truth = math.atan(soil.tan_phi), math.log(soil.shear_modulus), math.log(same)
-    return w["slip"], w["sinkage"] / scenario.wheel.radius, *known, *truth
+    return (
+        w["slip"],
+        w["sinkage"] / scenario.wheel.radius,
+        *known,
+        math.atan(soil.tan_phi),
+        math.log(soil.shear_modulus),
+        math.log(same),
+    )
 
 
 def hubs_of(simulation: Any, wheels: list[State], profile: Profile) -> np.ndarray:

@@ -92,7 +92,6 @@ def stresses_under(w: dict[str, Any], r: float, b: float) -> Stresses:
     The sinkage coefficient is not the soil's: it is the one that carries the load at this sinkage.
     So the stresses carry the load in a rut, too, where the soil's own coefficient does not hold.
     """
-    braked = max(math.copysign(1.0, w["speed"]) * w["braked"], 0.0)
     wheel = _Wheel(
         radius=r,
         width=b,
@@ -100,7 +99,7 @@ def stresses_under(w: dict[str, Any], r: float, b: float) -> Stresses:
         load=w["load"],
         speed=w["speed"],
         rim_speed=w["wheel_speed"] * r,
-        braked=braked,
+        braked=max(math.copysign(1.0, w["speed"]) * w["braked"], 0.0),
     )
     stresses = Stresses(*np.empty((3, ARC_POINTS)))
     _stresses(np.zeros(1, contact.ARC_NODES), wheel, w["soil"], *stresses)

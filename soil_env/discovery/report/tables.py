@@ -91,8 +91,7 @@ def left_out(report: Report) -> Table:
         for name, errors in way.errors.items():
             cells = ("-" if math.isnan(x) else amount(name, x, 3) for x in errors)
             rows.append((joined(CONDITIONS[n][0] for n in way.what), TITLES[name], *cells))
-    head = ("left out", "channel", "base model", "corrected", "plain curve", "noise")
-    return Table(head, rows)
+    return Table(("left out", "channel", "base model", "corrected", "plain curve", "noise"), rows)
 
 
 def ranking(report: Report, most: int | None = None) -> Table:
@@ -103,8 +102,10 @@ def ranking(report: Report, most: int | None = None) -> Table:
         (title(r.name), times(r.score), *(fixed(p, 3) for p in (r.probability, *r.if_laws_err)))
         for r in report.finding.ranking[:most]
     ]
-    head = ("effect", "evidence", "probability", *(f"laws {percent(x)} off" for x in LAW_ERRORS))
-    return Table(head, rows)
+    return Table(
+        ("effect", "evidence", "probability", *(f"laws {percent(x)} off" for x in LAW_ERRORS)),
+        rows,
+    )
 
 
 def next_runs(report: Report) -> Table:
@@ -182,6 +183,6 @@ def detectable(report: Report) -> Table:
         parameter = LISTED[name].parameter(d.parameter)
         most = max(abs(parameter.low), abs(parameter.high))
         smallest = figures(d.size, 2) if d.size <= most else f"none up to {most:g}"
-        seen = (smallest, parameter.unit, percent(d.power))
-        rows.append((title(name), d.parameter.replace("_", " "), *seen))
+        label = d.parameter.replace("_", " ")
+        rows.append((title(name), label, smallest, parameter.unit, percent(d.power)))
     return Table(("effect", "parameter", "smallest", "unit", "chance of a larger one"), rows)

@@ -579,8 +579,8 @@ def _missed(problem: TableProblem, plain: _Plain, noise: NoiseEstimate | None) -
         follows = _follows_conditions(problem.rows.slip, problem.rows.load, fit.residual)
         if noise is not None and noise.origin[j]:
             ratio = fit.noise / noise.sd[j]
-            freedom = problem.freedom[2 + j], min(noise.freedom[j], _KNOWN_NOISE)
-            follows = follows or fdtrc(*freedom, ratio**2) < FOLLOWS
+            freedom = min(noise.freedom[j], _KNOWN_NOISE)
+            follows = follows or fdtrc(problem.freedom[2 + j], freedom, ratio**2) < FOLLOWS
         if follows:
             out[name] = ratio
     return out

@@ -705,8 +705,8 @@ def _worst_row(data: Data, off: np.ndarray, sd: np.ndarray) -> int:
 
     square = np.sum(off**2, axis=1) / np.maximum(data.measured.sum(axis=1), 1)
     few = rows if len(rows) <= SMALL else np.argsort(-square)[:CANDIDATES]
-    ends = [np.argmin(slip), np.argmax(slip), np.argmin(load), np.argmax(load)]
-    return min({int(k) for k in (*few, *ends)}, key=cost_without)
+    tried = (*few, np.argmin(slip), np.argmax(slip), np.argmin(load), np.argmax(load))
+    return min({int(k) for k in tried}, key=cost_without)
 
 
 def _is_shared(data: Data, row: int, off: np.ndarray) -> bool:

@@ -307,11 +307,12 @@ def smooth_basis(data: Data) -> np.ndarray:
     before it make it up. Only the first columns are taken, up to half as many as there are cells,
     but two at least.
     """
-    s = data.varied["slip"].scaled
+    slip = data.varied["slip"]
+    s = slip.scaled
     columns = [np.ones_like(s), s]
-    if data.varied["slip"].levels > 2:
+    if slip.levels > 2:
         columns.append(s * s)
-    if data.varied["slip"].levels > 4:
+    if slip.levels > 4:
         columns.append(s**3)
     others = [c for name, c in data.varied.items() if name not in ("slip", *WHEEL)]
     columns += [c.scaled for c in others]

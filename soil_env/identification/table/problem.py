@@ -430,7 +430,8 @@ class TableProblem:
         replace those of `FINE`.
         """
         low, high = self.bounds
-        start = np.clip(u, low + _INSIDE * (high - low), high - _INSIDE * (high - low))
+        inside = _INSIDE * (high - low)
+        start = np.clip(u, low + inside, high - inside)
         found = most_probable(
             self.whiten(self.target()),
             lambda x: self.whiten(self.predict(x)),

@@ -119,8 +119,9 @@ def report_of(estimate: TableEstimate) -> dict[str, Any]:
         key: value for key, value in vars(estimate).items() if key not in ("fits", "law_error")
     }
     parameters = {name: vars(p) for name, p in estimate.parameters.items()}
-    soil = to_dict(estimate.soil)
-    return plain(content | {"parameters": parameters, "channels": channels, "soil": soil})
+    return plain(
+        content | {"parameters": parameters, "channels": channels, "soil": to_dict(estimate.soil)}
+    )
 
 
 def picture(estimate: TableEstimate) -> bytes:
