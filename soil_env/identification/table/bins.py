@@ -62,8 +62,8 @@ def binned(table: Table, setup: Setup) -> Binned:
     rows or more a bin on average. In a series a row is mostly near the one before (`NEAR`). Bins of
     one whose conditions are held or change slowly are of consecutive rows, so that none is chosen
     by the noise of its slip. Those of others are of like values. A measured value of a bin is the
-    mean without outliers, whose noise is dropped. That of slip and load is as the setup has it, of
-    bins of consecutive rows over the root of their median number.
+    mean without outliers, and noise that is given of it is dropped. That of slip and load stays;
+    for bins of consecutive rows it is divided by the root of their median size.
     """
     if len(table) <= REPEATED:
         return Binned(table, setup, "")
@@ -72,10 +72,10 @@ def binned(table: Table, setup: Setup) -> Binned:
     series = np.median(steps) < NEAR
     most = MOST_OF_SERIES if series else MOST
     in_order = series and not np.any(_scatters(x) & (np.ptp(x, axis=0) > _MOVES))
-    bins = _bins(x, most, _split if in_order else _cut)
-    spreads = [np.max(np.std(x[rows], axis=0), initial=0.0) for rows in bins]
-    if in_order and max(spreads) > _TOO_WIDE:
-        in_order = False
+    if in_order:
+        bins = _bins(x, most, _split)
+        in_order = max(np.max(np.std(x[rows], axis=0), initial=0.0) for rows in bins) <= _TOO_WIDE
+    if not in_order:
         bins = _bins(x, most, _cut)
     if len(table) <= DENSE and not (series and len(table) >= FEWEST * len(bins)):
         return Binned(table, setup, "")
