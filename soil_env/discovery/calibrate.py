@@ -24,6 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import gmean
 
+from soil_env.identification.table.calibration import reading
 from soil_env.identification.table.data import CHANNELS, Data
 from soil_env.identification.table.form_error import (
     INPUTS,
@@ -78,7 +79,6 @@ from .instrument import (
     effect_names,
     in_balance,
     nuisances,
-    reading,
     true_rows,
 )
 from .unnamed import changed, factors, loaded
@@ -373,7 +373,7 @@ class Problem:
             )
 
         out = in_balance(loaded(rows, outside, self.bench.load), outside, outcome)
-        return reading(changed(out, rows, outside, self.bench), outside, rows.wheels[:, 0])
+        return reading(changed(out, rows, outside, self.bench), outside, rows)
 
     @property
     def sd(self) -> np.ndarray:

@@ -16,7 +16,13 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._io.loading import ParameterError, unknown_value
-from soil_env.identification.table.form_error import side_by_side
+from soil_env.identification.table.calibration import (
+    SENSORS,
+    changes,
+    sd_of_errors,
+    sensor_unknowns,
+    stated_errors,
+)
 from soil_env.identification.table.priors import Values
 from soil_env.measurement.setup import Calibration, Setup
 from soil_env.slip import slips_of_radius
@@ -38,11 +44,6 @@ from .unnamed import UNNAMED
 #: Standard deviation of a zero error that is a candidate: that of the pull over the median load of
 #: the table, that of the torque over this load times the radius.
 OFFSET = 0.05
-#: The same of a zero error that is a nuisance, where the setup states none.
-LEAST_OFFSET = 0.003
-#: Standard deviation [median load over the radius] of a spring rate that is a nuisance, where the
-#: setup states none; own choice.
-LEAST_SPRING = 0.1
 PRESSED = (0.2, 3.0)  # [stated load] least and largest true load that is sought; own choice
 #: Limits of the second change of the load over the first. With them the load is extrapolated by 0.2
 #: to 5 times the second change: a series that hardly converges is not followed to its end; own
@@ -250,27 +251,6 @@ def effect_names(choices: Choices) -> Names:
     return tuple(c.effect for c in choices)
 
 
-def _stated(calibration: Calibration) -> dict[str, float | None]:
-    """Standard deviation by name of each error of a rig, as the setup states it or by default; None
-    where the default depends on the load.
-    """
-    return {
-        name: getattr(calibration, "tilt_deg" if name == "tilt" else name) for name in INSTRUMENT
-    }
-
-
-def _sd_of_nuisances(calibration: Calibration, bench: Bench) -> dict[str, float]:
-    """Standard deviation by name of each error of a rig as a nuisance: as `_stated`, else the usual
-    share of the load.
-    """
-    usual = {
-        "force_offset": LEAST_OFFSET * bench.load,
-        "torque_offset": LEAST_OFFSET * bench.load * bench.radius,
-        "spring_load": LEAST_SPRING * bench.load / bench.radius,
-    }
-    return {name: usual[name] if x is None else x for name, x in _stated(calibration).items()}
-
-
 def ruled_out(setup: Setup) -> dict[str, str]:
     """Reason by name of the effects and errors of the rig that are no candidates.
 
@@ -289,7 +269,7 @@ def ruled_out(setup: Setup) -> dict[str, str]:
         raise ParameterError(
             f"{setup.source}: checked: has all effects: expected those that a check has ruled out"
         )
-    sure = [name for name, sd in _stated(setup.calibration).items() if sd == 0.0]
+    sure = [name for name, sd in stated_errors(setup.calibration).items() if sd == 0.0]
     known = dict.fromkeys(sure, "calibrated, by the setup")
     known |= dict.fromkeys(setup.checked, "checked, by the setup")
     return known | ({"tilt": "tilt_deg of the setup has it"} if setup.tilt_deg is not None else {})
@@ -302,8 +282,9 @@ def odds_factors(setup: Setup, bench: Bench) -> dict[str, float]:
     looked. One that is known worse keeps the usual odds. Raises `ParameterError` for a stated zero
     error of the pull above the median load, or of the torque above this load times the radius.
     """
-    own = _sd_of_nuisances(setup.calibration, bench)
-    usual = _sd_of_nuisances(Calibration(), bench)
+    own, usual = (
+        sd_of_errors(x, bench.load, bench.radius) for x in (setup.calibration, Calibration())
+    )
     for name, most, limit in (
         ("force_offset", bench.load, "the median load"),
         ("torque_offset", bench.load * bench.radius, "the median load times the radius"),
@@ -365,39 +346,15 @@ def in_balance(rows: Rows, values: Values, outcome: Callable[[Rows], np.ndarray]
     return np.where(balanced[:, None], outcome(rows._replace(load=limit)), math.nan)
 
 
-def reading(out: np.ndarray, values: Values, radius: np.ndarray) -> np.ndarray:
-    """Readings [N, 3] of the sensors for true values `out` [N, 3], with the gains, offsets and
-    crosstalk among `values`; `radius` [N] in m. The sinkage is read as it is. Crosstalk is a share
-    of the other sensor's true value.
-    """
-    if not any(name.startswith(("force_", "torque_")) for name in values):
-        return out
-    read = out.copy()
-    for j, name, other in ((1, "force", out[:, 2] / radius), (2, "torque", out[:, 1] * radius)):
-        # Parameters are named EFFECT_PARAMETER: "force_gain_gain", "force_offset_offset".
-        gain, offset = (values.get(f"{name}_{of}_{of}", 0.0) for of in ("gain", "offset"))
-        share = values.get(f"{name}_crosstalk_share", 0.0)
-        read[:, j] += gain * out[:, j] + offset + share * other
-    return read
-
-
 def nuisances(
     setup: Setup, bench: Bench, rows: Rows, output: np.ndarray, named: Names
 ) -> np.ndarray:
     """[N, 3, R] change of the readings [m, N, N m] by one standard deviation of each of R errors of
     the rig; `output` [N, 3]: model values.
 
-    Nuisances are the tilt and the errors of a single sensor, unless they are `named` or the setup
-    rules them out. Errors that move all channels act through the model, and are candidates only.
+    Nuisances are the `sensor_unknowns` that are not `named`. Errors that move all channels act
+    through the model, and are candidates only.
     """
-    spread = _sd_of_nuisances(setup.calibration, bench)
-    out = []
-    for name, effect in INSTRUMENT.items():
-        if len(effect.moves) > 1 or name in (*named, *ruled_out(setup)):
-            continue
-        if name == "tilt":
-            out.append(np.outer(-rows.load * math.sin(math.radians(spread[name])), [0.0, 1.0, 0.0]))
-        else:
-            values = {f"{name}_{effect.parameters[0].name}": spread[name]}
-            out.append(reading(output, values, rows.wheels[:, 0]) - output)
-    return side_by_side(out, output.shape)
+    known = {SENSORS.get(name) for name in named}
+    unknowns = sensor_unknowns(setup, bench.load, bench.radius)
+    return changes(output, {x.name: x.sd for x in unknowns if x.name not in known}, rows)

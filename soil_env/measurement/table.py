@@ -240,9 +240,9 @@ def _csv_cells(
     """Header and (line of the file from 1, cells) of the rows that are not blank, every cell
     stripped. Commas in the columns `ignore` stay as they are.
 
-    Lines that begin with # and a first line such as `sep=;` are passed over. Semicolons or tabs in
-    a header without commas separate the columns, and then commas may be decimal. Columns at the end
-    that have neither name nor value are dropped, as spreadsheets write them.
+    Lines that begin with # and a first line such as `sep=;` are passed over. Semicolons, tabs or
+    bars in a header without commas separate the columns, and then commas may be decimal. Columns at
+    the end that have neither name nor value are dropped, as spreadsheets write them.
 
     `ParameterError` for a file that cannot be read, is too large or empty, or is no CSV in UTF-8.
     So also for a title above the header, and for a row with more or fewer cells than the header.
@@ -261,8 +261,8 @@ def _csv_cells(
             if written and _SEPARATOR.fullmatch(text[written[0]]):  # of spreadsheets
                 text[written.pop(0)] = "\n"
             first = text[written[0]] if written else ""
-            refuse_title(path, [re.split(r"[,;\t]", text[k]) for k in written[:TITLES]], REQUIRED)
-            mark = next((m for m in ";\t" if m in first and "," not in first), ",")
+            refuse_title(path, [re.split(r"[,;\t|]", text[k]) for k in written[:TITLES]], REQUIRED)
+            mark = next((m for m in ";\t|" if m in first and "," not in first), ",")
             reader = csv.reader(text, strict=True, delimiter=mark)
             lines = [
                 (reader.line_num, cells)

@@ -1,5 +1,5 @@
 """Rigs that are not the ideal one: no sinkage, a vertical load on a grade, free climbing, a tilt,
-noise row by row.
+noise row by row, sensors with the errors of their calibration.
 
 What they measure is made with `tests.terramechanics.reference`, resolved here by hand.
 """
@@ -13,8 +13,9 @@ from scipy.optimize import brentq
 
 from soil_env._io.loading import ParameterError
 from soil_env.identification.table import identify_table
+from soil_env.identification.table.calibration import EXACT, SENSORS, reading, sensor_unknowns
 from soil_env.identification.table.problem import TableProblem
-from soil_env.measurement.setup import Prior
+from soil_env.measurement.setup import Calibration, Prior
 from soil_env.terramechanics.steady import Rows, _predict_rows
 from tests.identification import test_table as tables
 from tests.identification.test_table import (
@@ -169,3 +170,64 @@ def test_rows_that_nobody_may_write_to_compile_nothing_anew(tmp_path):
         column.flags.writeable = False
     np.testing.assert_array_equal(problem.steady(u, locked), expected)
     assert len(_predict_rows._function.overloads) == versions
+
+
+def conditions():
+    """`Rows` of the table `clean`."""
+    slip, load = clean()[:, :2].T
+    wheel = [tables.WHEEL.radius, tables.WHEEL.width, 0.0]
+    return Rows(slip.copy(), load.copy(), np.tile(wheel, (len(slip), 1)), np.zeros((len(slip), 3)))
+
+
+def misread(values):
+    """Rows as `clean`, read by sensors with these parameters of `SENSORS`."""
+    rows = clean().copy()
+    rows[:, 2:] = reading(rows[:, 2:], values, conditions())
+    return rows
+
+
+def test_what_a_calibration_allows_is_no_misfit(tmp_path):
+    """Errors of the rig drawn as they are believed to be. Where the same setup says that the rig is
+    exact, they are taken for a missing effect and draw the soil further off.
+    """
+    usual = setup_of(calibration=Calibration())
+    fits = {"usual": 0, "exact": 0}
+    off = {"usual": [], "exact": []}
+    for seed in range(8):
+        rng = np.random.default_rng([20261130, seed])
+        errors = {x.name: rng.normal(0.0, x.sd) for x in sensor_unknowns(usual, LOADS[1], 0.15)}
+        t = table_of(tmp_path, misread(errors), rng)
+        for name, setup in (("usual", usual), ("exact", setup_of())):
+            e = identify_table(t, setup)
+            fits[name] += not e.misfit
+            off[name].append(e.parameters["shear_modulus"].value / SAND.shear_modulus - 1.0)
+            assert name == "exact" or within(e)
+    assert fits["usual"] >= 7 and fits["exact"] <= 5
+    assert np.std(off["usual"]) < 0.9 * np.std(off["exact"])
+
+
+def test_a_sensor_beyond_its_calibration_is_said_first(tmp_path):
+    """A gain that is off by ten standard deviations; within two it is not doubted."""
+    usual = setup_of(calibration=Calibration())
+    for gain, doubted in ((0.2, True), (0.03, False)):
+        t = table_of(tmp_path, misread({"force_gain_gain": gain}), np.random.default_rng(0))
+        said = identify_table(t, usual).check_first
+        assert any("the force gain would be" in words for words in said) == doubted
+
+
+def test_only_errors_that_are_not_ruled_out_are_unknown():
+    """By a check, a calibration of 0 or a tilt of the setup."""
+    usual = setup_of(calibration=Calibration())
+    assert [x.name for x in sensor_unknowns(usual, 100.0, 0.15)] == [*SENSORS.values()]
+    assert sensor_unknowns(replace(usual, calibration=EXACT), 100.0, 0.15) == ()
+    known = replace(
+        usual,
+        calibration=Calibration(force_gain=0.0, torque_offset=0.3),
+        checked=("torque_gain",),
+        tilt_deg=Prior(1.0, 0.0),
+    )
+    left = {x.name: x.sd for x in sensor_unknowns(known, 100.0, 0.15)}
+    out = {"tilt", "force_gain_gain", "torque_gain_gain"}
+    assert {*left} == {*SENSORS.values()} - out
+    assert left["torque_offset_offset"] == 0.3 and left["force_offset_offset"] == 0.3
+    assert left["force_crosstalk_share"] == 0.01

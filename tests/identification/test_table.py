@@ -19,6 +19,7 @@ import pytest
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main
 from soil_env.identification.table import identify_table
+from soil_env.identification.table.calibration import EXACT
 from soil_env.identification.table.fit import UNDETERMINED, _doubts
 from soil_env.identification.table.priors import BROAD
 from soil_env.identification.table.problem import TableProblem
@@ -80,9 +81,12 @@ def estimate(folder, rows, setup, rng=None, **given):
 
 
 def setup_of(known=(), noise=SD, soil=SAND, **priors):
-    """A setup in which some parameters are known, some have priors and the rest are left out."""
+    """A setup of a rig without errors in which some parameters are known, some have priors and the
+    rest are left out.
+    """
     known = {name: Prior(getattr(soil, name), 0.0) for name in known}
-    return Setup(WHEEL, SoilPriors(**known, **priors), NoiseLevels(**(noise or {})))
+    priors = SoilPriors(**known, **priors)
+    return Setup(WHEEL, priors, NoiseLevels(**(noise or {})), EXACT)
 
 
 def predicted(soil, slips, loads):

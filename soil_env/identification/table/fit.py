@@ -25,6 +25,7 @@ from soil_env.parameters import EARTH_GRAVITY, Soil
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 from .bins import binned
+from .calibration import SENSORS
 from .form_error import covariance_about
 from .mistakes import Examined, examine
 from .noise import SMALLEST_SD, NoiseEstimate
@@ -203,7 +204,7 @@ def identify_table(table: Table, setup: Setup, *, check: bool = True) -> TableEs
             examined = examine(_with_whole_speeds(table), setup)
         with examined.named_first():
             problem = TableProblem(_as_examined(examined), setup)
-        if not problem.unknowns:
+        if not problem.soil:
             raise ParameterError(
                 f"{setup.source}: soil: every parameter is known: expected at least one to "
                 "identify, left out or as {value: ..., sd: ...}"
@@ -321,7 +322,9 @@ def _summary(
     sd = np.sqrt(np.diag(covariance))
     prior_sd = np.linalg.norm(by_u, axis=1)
     correlation = covariance / np.outer(sd, sd)
-    condition = np.linalg.cond(problem.derivatives(u) @ np.linalg.inv(by_u) * prior_sd)
+    of_soil = slice(len(problem.soil))
+    by_soil = problem.derivatives(u)[:, of_soil] @ np.linalg.inv(by_u[:, of_soil])
+    condition = np.linalg.cond(by_soil * prior_sd)
     fits = {
         name: replace(fit, p_value=plain.fits[name].p_value, too_small=plain.fits[name].too_small)
         for name, fit in _fits(problem, u).items()
@@ -418,10 +421,9 @@ def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
     """`ChannelFit` of each measured channel, and of the load if it has noise, at the solution u.
 
     The probabilities are those of chi-squared, with the degrees of freedom that the fit leaves to
-    the errors.
+    the errors. Where slip and load err too, a channel has only its share of the errors.
     """
-    errors, left = problem.errors(u)
-    variances = problem.variances
+    errors, shared, left = problem.errors(u)
     # [N, 5] by `SOURCES`.
     measured = np.column_stack([problem.rows.slip, problem.rows.load, problem.y])
     at = problem.corrected
@@ -437,9 +439,10 @@ def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
         p_value = math.nan
         too_small = math.nan
         if not estimated:
-            variance = variances[rows, j]
-            freedom = max(np.sum(np.maximum(left[rows, j] / variance, _LEAST_SHARE)), LEAST_FREEDOM)
-            square = np.sum(errors[rows, j] ** 2 / variance)
+            of_channel = shared[rows, j]
+            freedom = np.sum(np.maximum(left[rows, j] / of_channel, _LEAST_SHARE))
+            freedom = max(freedom, LEAST_FREEDOM)
+            square = np.sum(errors[rows, j] ** 2 / of_channel)
             p_value = float(chdtrc(freedom, square))
             too_small = float(chdtr(freedom, square)) if square < SMALL**2 * freedom else 1.0
         fits[name] = ChannelFit(
@@ -511,17 +514,22 @@ def _undetermined(
 
 def _off_prior(problem: TableProblem, plain: _Plain) -> list[tuple[float, str]]:
     """(distance from its prior [prior sd], a sentence on that) of each parameter whose solution
-    under noise alone, `plain.u`, is further than `OFF_PRIOR` from a prior of the setup.
+    under noise alone, `plain.u`, is further than `OFF_PRIOR` from a prior of the setup, or from
+    what its calibration allows.
     """
-    return [
-        (
-            abs(d),
-            f"Were the stress laws exact, the {_SINGLE[unknown.name]} would be {abs(d):.1f} "
-            "standard deviations from its prior: prior, table or laws are wrong.",
-        )
-        for unknown, d in zip(problem.unknowns, plain.u, strict=True)
-        if given_prior(problem.setup, unknown.name) is not None and abs(d) > OFF_PRIOR
-    ]
+    sensors = {parameter: name.replace("_", " ") for name, parameter in SENSORS.items()}
+    found = []
+    for unknown, d in zip(problem.unknowns, plain.u, strict=True):
+        of_rig = unknown.name in sensors
+        if abs(d) > OFF_PRIOR and (of_rig or given_prior(problem.setup, unknown.name) is not None):
+            label = (sensors if of_rig else _SINGLE)[unknown.name]
+            of = "calibration" if of_rig else "prior"
+            words = (
+                f"Were the stress laws exact, the {label} would be {abs(d):.1f} standard "
+                f"deviations from its {of}: {of}, table or laws are wrong."
+            )
+            found.append((abs(d), words))
+    return found
 
 
 def _doubts(
@@ -538,7 +546,7 @@ def _doubts(
     edge = EDGE * np.minimum(1.0, high - low)
     at_end = [
         _SINGLE[unknown.name]
-        for unknown in compress(problem.unknowns, (u <= low + edge) | (u >= high - edge))
+        for unknown in compress(problem.soil, (u <= low + edge) | (u >= high - edge))
     ]
     if at_end:
         words.append(

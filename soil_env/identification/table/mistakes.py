@@ -31,6 +31,7 @@ from soil_env.measurement.table import Table, look_like_radians
 from soil_env.parameters import EARTH_GRAVITY
 from soil_env.terramechanics.model import Rows
 
+from .calibration import EXACT
 from .data import CHANNELS, Data, prepare
 from .form_error import finite
 from .noise import (
@@ -247,7 +248,7 @@ def _problem(
     Both are of the channels of the table as it is, in its units.
 
     Fewer values than unknowns are refused unless `scarce`: the priors are enough to compare
-    readings and rows.
+    readings and rows. The rig counts as exact: mistakes are far larger than its errors.
     """
     order = list(reading.source)
     there = reading.table.with_values(used[:, order])
@@ -259,7 +260,7 @@ def _problem(
         for j, name in enumerate(CHANNELS)
     }
     noise = dataclasses.replace(reading.setup.noise, **levels)
-    setup = reading.setup.changed(noise=noise)
+    setup = reading.setup.changed(noise=noise, calibration=EXACT)
     # all rows: `usable_rows` would refuse some readings
     return TableProblem(there, setup, np.ones(len(there), dtype=bool), scarce=scarce)
 
@@ -532,9 +533,8 @@ def examine(table: Table, setup: Setup) -> Examined:
     come wrong rows, a load far from all others, outliers far from every other value (`gross`) and
     other readings; `load_doubt` is asked where there are none of these. Doubts of the setup and the
     grades come last. Outliers stay in the table: `noise.used` masks them, and `left_out` names
-    them. Raises
-    `ParameterError` where the table cannot be right (`_readings_doubted`), and for what `prepare`
-    refuses, too little noise or too few values.
+    them. Raises `ParameterError` where the table cannot be right (`_readings_doubted`), and for
+    what `prepare` refuses, too little noise or too few values.
     """
     data = prepare(table, setup)
     given_noise(data)  # refuses one that leaves no digits
@@ -543,9 +543,11 @@ def examine(table: Table, setup: Setup) -> Examined:
     )  # refuses too few values
     always = [*setup.doubts(), *_grades_doubted(data)]
     dead = _channels_doubted(data)
+    start = _as_is(data)
     if dead:  # what else could be read into such a table says nothing
-        return Examined(table, (*dead, *always), _as_is(data).noise)
-    start, rows = _without_wrong_rows(_as_is(data))
+        cells, _ = _outliers(data, start.noise)
+        return Examined(table, (*dead, *always), start.noise, tuple(cells))
+    start, rows = _without_wrong_rows(start)
     cells, gross = _outliers(start.data, start.noise)
     readings_doubted, undecided = _readings_doubted(start)
     first = [*rows, *_load_alone(start.data.table), *gross, *readings_doubted]

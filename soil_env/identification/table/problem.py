@@ -28,6 +28,7 @@ from soil_env.terramechanics.effects import NO_EFFECTS
 from soil_env.terramechanics.model import Rows
 
 from . import form_error
+from .calibration import changes, reading, sensor_unknowns
 from .form_error import LAW_LENGTHS, Process, finite, in_channels, side_by_side
 from .noise import NoiseEstimate
 from .priors import Unknown, bounds_of, middle_sinkage, parameters_at, soil_unknowns
@@ -186,11 +187,14 @@ class TableProblem:
         self.relative = relative[use]
         #: [m] reference sinkage
         self.z_ref = middle_sinkage(self.y[:, 0], setup.wheel.radius)
-        self.unknowns, self.known = soil_unknowns(setup, self.rows.load, self.y[:, 0])
+        self.soil, self.known = soil_unknowns(setup, self.rows.load, self.y[:, 0])
+        #: Errors of the rig, unknowns after those of the soil.
+        self.rig = sensor_unknowns(setup, float(np.median(self.rows.load)), setup.wheel.radius)
+        self.unknowns = (*self.soil, *self.rig)
         self.bounds = bounds_of(self.unknowns)
         self._set_noise()
         values = int(self.measured.sum())
-        needed = len(self.unknowns)
+        needed = len(self.soil)
         noises = np.array(SOURCES)[self.estimated]
         least = needed + noises.size
         if values < least and not scarce:
@@ -259,14 +263,20 @@ class TableProblem:
         return self._processes
 
     def values(self, u: np.ndarray) -> dict[str, float]:
-        """Every parameter by name, known or at u; the tilt of the rig too, if the setup has one."""
+        """Every parameter by name, known or at u, those of the rig too."""
         return self.known | parameters_at(self.unknowns, u)
 
     def predict(self, u: np.ndarray, rows: Rows | None = None) -> np.ndarray:
-        """Sinkage, drawbar pull and torque [N, 3] at the corrected conditions, or at those of
-        `rows` [N]; 0 where the table has no measured value.
+        """What the sensors read, as `read`, at the corrected conditions, or at those of `rows` [N];
+        0 where the table has no measured value.
         """
-        return np.where(self.measured, self.steady(u, rows or self.corrected), 0.0)
+        return np.where(self.measured, self.read(u, rows or self.corrected), 0.0)
+
+    def read(self, u: np.ndarray, rows: Rows) -> np.ndarray:
+        """Readings [N, 3] of sinkage, drawbar pull and torque at any `rows`, measured or not: those
+        of `steady` by sensors with the errors of the rig.
+        """
+        return reading(self.steady(u, rows), self.values(u), rows)
 
     def steady(
         self, u: np.ndarray, rows: Rows, change: form_error.StressChange = form_error.UNCHANGED
@@ -345,8 +355,11 @@ class TableProblem:
 
     def _differences(self, u: np.ndarray) -> np.ndarray:
         """Derivatives [N, 3, p] of the model by the whitened unknowns, 0 where not measured."""
-        flat = differences(lambda x: self.predict(x).ravel(), u, self.unknowns)
-        return flat.reshape(*self.y.shape, -1)
+        flat = differences(lambda x: self.predict(x).ravel(), u, self.soil)
+        true = self.steady(u, self.corrected)
+        of_rig = changes(finite(true), {x.name: x.sd for x in self.rig}, self.corrected)
+        of_soil = flat.reshape(*self.y.shape, -1)
+        return np.concatenate([of_soil, of_rig * self.measured[:, :, None]], axis=2)
 
     def law_errors(self, u: np.ndarray, span: int) -> tuple[np.ndarray, np.ndarray]:
         """(form errors of the stresses [3 N, C R], form errors of the channels [3 N, 3 R]), of size
@@ -446,14 +459,16 @@ class TableProblem:
         """Best least-squares solution u [p] from `_STARTS` starts; the weights are set at it.
 
         The first start is the prior mean, the others are random within one standard deviation of
-        it. There S follows n, so that S z_ref^n stays within a factor e of that of the prior mean:
-        the median load shows that pressure, whatever n is.
+        it, without errors of the rig. There S follows n, so that S z_ref^n stays within a factor e
+        of that of the prior mean: the median load shows that pressure, whatever n is.
         """
         rng = np.random.default_rng(0)
         starts = [np.zeros(len(self.unknowns))]
-        names = [k.name for k in self.unknowns]
+        names = [k.name for k in self.soil]
         for _ in range(_STARTS - 1):
-            u = np.clip(rng.uniform(-1.0, 1.0, len(names)), *self.bounds)
+            u = np.zeros(len(self.unknowns))
+            u[: len(names)] = rng.uniform(-1.0, 1.0, len(names))
+            u = np.clip(u, *self.bounds)
             if {"sinkage_coefficient", "sinkage_exponent"} <= set(names):
                 s = names.index("sinkage_coefficient")
                 n = names.index("sinkage_exponent")
@@ -464,12 +479,12 @@ class TableProblem:
         self.weigh(self.by_conditions(best))
         return best
 
-    def errors(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(most probable errors [N, 5] of `SOURCES` under u, their expected squares [N, 5]), in the
-        units of the sources.
+    def errors(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(most probable errors [N, 5] of `SOURCES` under u, their expected squares [N, 5] at the
+        true unknowns, and the same at u), in the units of the sources.
 
-        The latter are below the variances, since the fit follows the errors and shares them out
-        among the sources. e = B eps - J du with the errors eps of a row and du of the unknowns,
+        These are below the variances, since errors are shared out among the sources, and at u the
+        fit follows them too. e = B eps - J du with the errors eps of a row and du of the unknowns,
         B = (F, I). eps is regressed on e with the gain diag(variances) B' V^-1.
         """
         e = self.residual(u)
@@ -477,12 +492,12 @@ class TableProblem:
         B = np.concatenate([self.F, np.broadcast_to(np.eye(3), (len(e), 3, 3))], axis=2)
         gain = self.variances[:, :, None] * np.swapaxes(np.linalg.solve(self.V, B), 1, 2)
         by_u = np.einsum("kjc,kcp->kjp", gain, j)
-        left = np.einsum("kjc,kcj->kj", gain, B) * self.variances
+        shared = np.einsum("kjc,kcj->kj", gain, B) * self.variances
         # Covariance of the unknowns, linearised at u: inverse of the normal matrix with the priors.
         whitened = self.derivatives(u)
         covariance = np.linalg.inv(np.eye(u.size) + whitened.T @ whitened)
-        left -= np.einsum("kjp,pq,kjq->kj", by_u, covariance, by_u)
-        return np.einsum("kjc,kc->kj", gain, e), left
+        left = shared - np.einsum("kjp,pq,kjq->kj", by_u, covariance, by_u)
+        return np.einsum("kjc,kc->kj", gain, e), shared, left
 
     def correct(self, u: np.ndarray) -> None:
         """Move slip and load to their most probable values under u, and weigh anew there. Without
@@ -509,7 +524,7 @@ class TableProblem:
         """
         if not np.any(self.estimated):
             return
-        errors, left = self.errors(u)
+        errors, _, left = self.errors(u)
         variances = self.variances
         for j in np.flatnonzero(self.estimated):  # never slip and load, the first two
             rows = self.measured[:, j - 2]
