@@ -90,6 +90,20 @@ def test_a_wrong_unit_or_sign_or_a_dead_channel_is_told_in_one_line(tmp_path, ch
     assert words.lower() in said.lower()
 
 
+def test_a_dead_channel_hides_no_outlier(tmp_path):
+    """What is left out of such a table is said as of any other."""
+    text = changed(table_text({}, slips=(0.05, 0.12, 0.2, 0.3, 0.4, 0.49)), "torque", 0.0)
+    lines = text.splitlines()
+    at = lines[0].split(",").index("sinkage")
+    cells = lines[9].split(",")
+    cells[at] = str(3.0 * float(cells[at]))
+    data = data_of(tmp_path, "\n".join([*lines[:9], ",".join(cells), *lines[10:]]) + "\n")
+    found = examine(data.table, data.setup)
+    assert "torque is 0 in every row" in found.said[0]
+    assert np.argwhere(~found.noise.used & data.measured).tolist() == [[8, 0]]
+    assert "Row 10, sinkage" in found.left_out[0]
+
+
 @pytest.mark.parametrize(
     ("gain", "rms"), [(5.0, 1.1), (9.0, 1.9), (5.0, 1.99), (5.0, 2.1), (4.0, 1.1)]
 )

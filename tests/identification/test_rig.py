@@ -15,6 +15,7 @@ from soil_env._io.loading import ParameterError
 from soil_env.identification.table import identify_table
 from soil_env.identification.table.calibration import EXACT, SENSORS, reading, sensor_unknowns
 from soil_env.identification.table.problem import TableProblem
+from soil_env.identification.table.report import text_of
 from soil_env.measurement.setup import Calibration, Prior
 from soil_env.terramechanics.steady import Rows, _predict_rows
 from tests.identification import test_table as tables
@@ -207,12 +208,15 @@ def test_what_a_calibration_allows_is_no_misfit(tmp_path):
 
 
 def test_a_sensor_beyond_its_calibration_is_said_first(tmp_path):
-    """A gain that is off by ten standard deviations; within two it is not doubted."""
+    """A gain that is off by ten standard deviations; within two it is fitted and not doubted."""
     usual = setup_of(calibration=Calibration())
     for gain, doubted in ((0.2, True), (0.03, False)):
         t = table_of(tmp_path, misread({"force_gain_gain": gain}), np.random.default_rng(0))
-        said = identify_table(t, usual).check_first
-        assert any("the force gain would be" in words for words in said) == doubted
+        e = identify_table(t, usual)
+        assert any("the force gain would be" in words for words in e.check_first) == doubted
+        assert e.rig["force gain"] > 0.5 and max(e.rig, key=e.rig.get) == "force gain"
+        assert f"force gain +{e.rig['force gain']:.1f}" in text_of(e)
+    assert identify_table(t, setup_of()).rig == {}
 
 
 def test_only_errors_that_are_not_ruled_out_are_unknown():

@@ -193,6 +193,26 @@ def test_intervals_cover_the_truth_under_wrong_laws(tmp_path, stretched, smalles
     assert smallest < min(sizes) and max(sizes) < 0.3 and 0.05 < np.median(sizes) < 0.11, sizes
 
 
+def test_errors_are_shared_out_among_their_sources(tmp_path):
+    """Their expected squares are those of draws, at the true unknowns: slip and load take a part of
+    what a channel is off.
+    """
+    noise = SD | {"slip": 0.02, "load": 2.0}
+    problem = TableProblem(table_of(tmp_path, clean()), setup_of(THREE, noise))
+    u = np.zeros(len(problem.unknowns))
+    problem.weigh(problem.by_conditions(u))
+    true = problem.predict(u)
+    rng = np.random.default_rng(0)
+    squares = np.zeros((len(true), 5))
+    for _ in range(400):
+        drawn = rng.normal(size=squares.shape) * np.sqrt(problem.variances)
+        problem.y = true + np.einsum("kcj,kj->kc", problem.F, drawn[:, :2]) + drawn[:, 2:]
+        squares += problem.errors(u)[0] ** 2 / 400.0
+    shared = problem.errors(u)[1]
+    assert np.all(np.median(shared / problem.variances, axis=0)[[0, 3, 4]] < 0.9)
+    assert np.mean(squares / shared, axis=0) == pytest.approx(np.ones(5), abs=0.06)
+
+
 @pytest.mark.parametrize("shared", [False, True])
 def test_intervals_cover_the_truth_where_slip_and_load_scatter(tmp_path, shared):
     """Scatter that the setup knows is not taken for errors of the laws, nor for a mistake, be it of

@@ -44,6 +44,8 @@ LABELS = {
 }
 #: Labels of single parameters of the setup: S itself, where `LABELS` has S z^n of the correlations.
 _SINGLE = LABELS | {"sinkage_coefficient": "sinkage coefficient S"}
+#: Labels of the errors of the rig, by their parameters in `SENSORS`.
+_OF_RIG = {parameter: name.replace("_", " ") for name, parameter in SENSORS.items()}
 SYMBOLS = dict(zip(LABELS.values(), ("phi", "K", "S z^n", "n", "c", "tilt"), strict=True))
 #: Unit of each parameter of a `TableEstimate`.
 PARAMETER_UNITS = {
@@ -159,6 +161,9 @@ class TableEstimate:
     load: np.ndarray  # [N] in newtons
     values: int  # number of measured values
     exact: tuple[str, ...]  # of slip and load, what the setup gives no noise for
+    #: Most probable error of the rig over its standard deviation, by label; those of `SENSORS` that
+    #: the setup has not ruled out.
+    rig: dict[str, float]
     converged: bool
     law_error: float  # relative error of the stress laws that the table suggests, root mean square
     check_first: tuple[str, ...]  # of `warnings`: what looks wrong in setup or table
@@ -365,6 +370,10 @@ def _summary(
         load=problem.rows.load,
         values=int(problem.measured.sum()),
         exact=exact,
+        rig={
+            _OF_RIG[x.name]: float(off)
+            for x, off in zip(problem.rig, u[len(problem.soil) :], strict=True)
+        },
         converged=converged,
         law_error=law_error,
         check_first=tuple(first),
@@ -517,12 +526,11 @@ def _off_prior(problem: TableProblem, plain: _Plain) -> list[tuple[float, str]]:
     under noise alone, `plain.u`, is further than `OFF_PRIOR` from a prior of the setup, or from
     what its calibration allows.
     """
-    sensors = {parameter: name.replace("_", " ") for name, parameter in SENSORS.items()}
     found = []
     for unknown, d in zip(problem.unknowns, plain.u, strict=True):
-        of_rig = unknown.name in sensors
+        of_rig = unknown.name in _OF_RIG
         if abs(d) > OFF_PRIOR and (of_rig or given_prior(problem.setup, unknown.name) is not None):
-            label = (sensors if of_rig else _SINGLE)[unknown.name]
+            label = _OF_RIG[unknown.name] if of_rig else _SINGLE[unknown.name]
             of = "calibration" if of_rig else "prior"
             words = (
                 f"Were the stress laws exact, the {label} would be {abs(d):.1f} standard "

@@ -30,8 +30,8 @@ LABELS = {
 def text_of(estimate: TableEstimate) -> str:
     """Text of the estimate, from what to check first, and a misfit, to the other warnings.
 
-    Between them are tables of parameters and channels, the correlations, the number of values, and
-    the condition number, with a remark above `SEPARABLE`.
+    Between them are tables of parameters and channels, the errors of the rig, the correlations, the
+    number of values, and the condition number, with a remark above `SEPARABLE`.
     """
     first = [f"CHECK FIRST: {doubt}" for doubt in estimate.check_first]
     first += [f"NO FIT: {estimate.misfit}"] if estimate.misfit else []
@@ -40,6 +40,9 @@ def text_of(estimate: TableEstimate) -> str:
     if estimate.exact:
         keys = ", ".join(f"noise.{name}" for name in estimate.exact)
         parts.append(f"{' and '.join(estimate.exact)} taken as exact ({keys} not given)")
+    if estimate.rig:
+        off = ", ".join(f"{name} {round(x, 1) + 0.0:+.1f}" for name, x in estimate.rig.items())
+        parts.append(f"errors of the rig [sd of its calibration]: {off}")
     if len(estimate.free) > 1:
         rows = zip(estimate.free, estimate.correlation, strict=True)
         grid = Table(
