@@ -3,9 +3,10 @@
     python -m benchmarks.scattered_tables --tables 20    both kinds at 120 rows, some minutes
 
 Tables of many conditions on the soils of configs/soils.yaml that keep to the base model, with
-noise of 1 %. Slip errs by 0.02 and load by 3 %, in each row by itself, or all rows of a drive
-together, of which a table has four. The rig errs by as much as a setup believes that does not state
-its calibration: level to 0.5 deg, gains to 2 %, zeros to 0.3 % of the load, crosstalk of 1 %.
+noise of 1 %. Slip errs by 0.02 and load by 3 % of the middle one, in each row by itself, or all
+rows of a drive together, of which a table has four. The rig errs by as much as a setup believes
+that does not state its calibration: level to 0.5 deg, gains to 2 %, zeros to 0.3 % of the load,
+crosstalk of 1 %.
 """
 
 import math
@@ -31,7 +32,7 @@ from soil_env.parameters import Soil, soils
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 SLIP = 0.02  # [-] standard deviation of the slip
-LOAD = 0.03  # of the load, relative
+LOAD = 0.03  # of the middle load
 NOISE = 0.01  # of the channels, relative to a typical value
 DRIVES = 4  # of a table
 MOST_PRESSURE = 1e6  # [Pa] of a wheel on soil
@@ -66,8 +67,8 @@ def draw(rng: np.random.Generator, rows: int, shared: bool) -> tuple[Sound, Soil
         # The table states slip and load as drawn; the true ones differ by these errors.
         errors = rng.normal(size=(DRIVES if shared else rows, 2))
         of_rows = np.sort(rng.integers(0, DRIVES, rows)) if shared else np.arange(rows)
-        off = errors[of_rows] * (SLIP, LOAD)
-        true = {"slip": slip + off[:, 0], "load": load * (1.0 + off[:, 1])}
+        off = errors[of_rows] * (SLIP, LOAD * middle)
+        true = {"slip": slip + off[:, 0], "load": load + off[:, 1]}
         if not LEAST_PRESSURE < pressure < MOST_PRESSURE or middle < LIGHTEST:
             continue
         try:

@@ -313,7 +313,8 @@ def _driven(grounds: list[Ground]) -> int:
 def setup_text(
     log_map: LogMap, steady: Steady, prior: Estimate, estimate: dict[str, float] | None
 ) -> str:
-    """Text of the setup file beside a table: wheel, priors of the soil, scatter as noise.
+    """Text of the setup file beside a table: wheel, priors of the soil, scatter as noise, errors of
+    the sensors as calibration.
 
     `prior`: the identifier's estimate before any reading. `estimate`: the online one of this
     ground, by `replay.COLUMNS`, None for a table of several grounds. It gives the dig_gain and a
@@ -339,8 +340,30 @@ def setup_text(
         "wheel": {"radius": log_map.wheel.radius, "width": log_map.wheel.width},
         "soil": _priors(log_map, prior, estimate) | log_map.soil,
         "noise": {n: _short(v) for n, v in steady.noise.items()},
+        "calibration": {n: _short(v) for n, v in _calibration(log_map).items()},
     }
     return text + yaml.safe_dump(content, sort_keys=False)
+
+
+def _calibration(log_map: LogMap) -> dict[str, float]:
+    """Section `calibration` of a setup: standard deviations of level, gains and zeros, as the
+    online identifier believes them of the sensors that the columns are from.
+    """
+    noise = log_map.noise()
+    weight = log_map.weight
+    force = noise.drawbar_pull_gain, noise.drawbar_pull_zero * weight
+    if "drawbar_pull" not in log_map.channels:  # acceleration times mass
+        force = noise.acceleration_gain, noise.acceleration_zero * log_map.wheel.body_mass
+    torque = noise.torque_gain, noise.torque_zero
+    if "torque" not in log_map.channels:
+        torque = noise.motor_torque_gain, noise.motor_torque_zero
+    return {
+        "tilt_deg": math.degrees(noise.pitch_zero),
+        "force_gain": force[0],
+        "force_offset": force[1],
+        "torque_gain": torque[0],
+        "torque_offset": torque[1] * weight * log_map.wheel.radius,
+    }
 
 
 def _priors(

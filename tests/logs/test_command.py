@@ -24,7 +24,7 @@ from soil_env.logs.steady import Ground, Steady, advice, commands, files, ground
 from soil_env.measurement.setup import read_setup
 from soil_env.measurement.table import read_table
 from soil_env.online import OnlineIdentifier, Status
-from soil_env.parameters import soils
+from soil_env.parameters import Noise, soils
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from tests.logs.bags import write_json_mcap, write_map
 
@@ -122,6 +122,30 @@ def test_steady_points_are_the_points_that_were_driven(log_map, tmp_path):
     assert estimate.parameters["cohesion"].known
     for name, error in (("friction_angle_deg", 1.0), ("shear_modulus", 0.002)):
         assert estimate.parameters[name].value == pytest.approx(getattr(soil, name), abs=error)
+
+
+def test_a_setup_has_the_errors_of_the_sensors(log_map, tmp_path):
+    """As the online identifier believes them: of force sensors, else of accelerometer and motor."""
+    of = Noise()
+    weight = log_map.weight
+    arm = weight * log_map.wheel.radius
+    any_source = replace(log_map.channels["sinkage"], unit=None)
+    without = {n: x for n, x in log_map.channels.items() if n not in ("drawbar_pull", "torque")}
+    forces = replace(log_map, channels=without | {"drawbar_pull": any_source, "torque": any_source})
+    mass = log_map.wheel.body_mass
+    inertial = (of.acceleration_gain, of.acceleration_zero * mass, of.motor_torque_gain)
+    for used, force_gain, force_offset, torque_gain, zero in (
+        (forces, of.drawbar_pull_gain, of.drawbar_pull_zero * weight, of.torque_gain, "torque"),
+        (replace(log_map, channels=without), *inertial, "motor_torque"),
+    ):
+        text = setup_text(used, Steady([]), replay(made([(0.2, 3.0)]), log_map).prior, None)
+        (tmp_path / "setup.yaml").write_text(text)
+        found = read_setup(tmp_path / "setup.yaml").calibration
+        torque_offset = getattr(of, f"{zero}_zero") * arm
+        assert (found.force_gain, found.torque_gain) == (force_gain, torque_gain)
+        assert found.force_offset == pytest.approx(force_offset, rel=1e-3)
+        assert found.torque_offset == pytest.approx(torque_offset, rel=1e-3)
+        assert found.tilt_deg == pytest.approx(math.degrees(of.pitch_zero), rel=1e-3)
 
 
 def test_what_changes_is_not_steady(log_map):
