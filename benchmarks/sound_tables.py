@@ -291,8 +291,8 @@ def estimate(t: Sound) -> dict[str, Parameter] | None:
 
 
 def matters(sound: Sound, wrong: Sound) -> bool:
-    """True if a mistake moves an estimate by more than `OFF` of its standard deviations, those of
-    the wrong table; False where either table has no estimate.
+    """True if a mistake moves an estimate by more than `OFF` standard deviations, an `INTERVAL`th
+    of its 95 % interval from the wrong table; False where either table has no estimate.
     """
     off = estimate(wrong)
     right = None if off is None else estimate(sound)

@@ -117,8 +117,8 @@ class Generalist(Checked):
         return scenario, hidden_worlds(scenario, self.hidden, seed, self.effects)
 
     def teacher(self, cell: tuple[str, int], threads: int | None) -> dict[str, float]:
-        """Settings of the teacher (`teachers.SETTINGS`) for a `cell` (ground, world): 0 for the
-        world without an effect, from 1 for the hidden ones.
+        """Settings of the teacher (`teachers.SETTINGS`) for a `cell` (ground, world); world is 0
+        for that without an effect, from 1 for the hidden ones.
 
         Each hidden world has the teacher that does best in it. The world without an effect has the
         one that does best in all worlds of the ground, since at the start of a course the student

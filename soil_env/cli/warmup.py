@@ -76,7 +76,7 @@ def _drive_wheels(**options: Any) -> None:
     envs.close()
 
 
-def _with_effects() -> WheelSoilModel:
+def _model_with_effect() -> WheelSoilModel:
     """A model with an effect, for which compiled functions have versions of their own.
 
     Any wheel, soil and effect would do.
@@ -88,7 +88,7 @@ def _with_effects() -> WheelSoilModel:
 
 def _wheels_with_effects() -> None:
     """Compile what wheels need in the world of a model with an effect."""
-    _drive_wheels(model=_with_effects(), **BLIND)
+    _drive_wheels(model=_model_with_effect(), **BLIND)
 
 
 def _identifier() -> None:
@@ -114,7 +114,7 @@ def _predictions() -> None:
     # Here so that importing this file does not load scipy.
     from soil_env.discovery.corrected import groups_at
 
-    model = _with_effects()
+    model = _model_with_effect()
     soil = soils()["lete_sand"].state(0.15)
     rim = Rim(0.15, 0.15, 0.0, 0.0)
     law = ResidualTerm("drawbar_pull", 0.01, {})  # any law of what is left

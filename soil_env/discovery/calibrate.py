@@ -175,8 +175,8 @@ class Fit:
         """[M, R] whitened form errors, nuisances and smooth contributions at these sizes, side by
         side.
 
-        Those of size 0 are left out; [M, 0] if all are. `Sizes.patterns` do not count, since no fit
-        is made with one.
+        `Sizes.scatter` is not applied. Those of size 0 are left out; [M, 0] if all are.
+        `Sizes.patterns` do not count, since no fit is made with one.
         """
         blocks = zip(
             (*self.form_errors, *self.free), (*sizes.of_form_errors, *sizes.free), strict=True

@@ -17,7 +17,7 @@ from .evidence import Evidence
 from .instrument import Names
 from .search import Finding
 
-SD_OF_95 = 1.959964  # [sd] of a 95 % interval
+SD_OF_95 = 1.959964  # [sd] half of a 95 % interval
 _CLOSED_DRAWS = 2000  # of the groups, for the interval of `closed`
 _LEAST_GAP = 0.5  # share of these draws that have a gap to close, below which no interval is given
 
@@ -79,7 +79,9 @@ def intervals(finding: Finding, own: Evidence) -> dict[str, Interval]:
 
 
 def _interval(unknown: Unknown, u: float, sd: float) -> Interval:
-    """Value and ends at u and u ± `SD_OF_95` sd of a normal distribution, within the bounds."""
+    """Value and 95 % interval of an unknown in its unit, within its bounds, where the whitened one
+    is normal with mean u and standard deviation `sd`.
+    """
     return Interval(
         *(
             float(unknown.value(np.clip(x, *unknown.bounds)))

@@ -58,13 +58,13 @@ class Message(NamedTuple):
 
 
 def bag_files(path: Path) -> list[Path]:
-    """Files of a bag: in the order of recording, as metadata.yaml lists them, whatever folders it
-    names; without that by name, which need not be the order of recording.
+    """Files of a bag: in the order of recording, as metadata.yaml lists them, by name in this
+    folder; without that by name, which need not be the order of recording.
 
     A recording that was killed has no metadata.yaml, and one that cannot be read counts as none.
-    Files that it lists may be missing.
-    `ParameterError` for a folder without files of a bag, and for compressed ones. A path to a file
-    is returned as it is.
+    Files that it lists may be missing; one that was compressed may be there unpacked.
+    `ParameterError` for a folder without files of a bag, and for compressed ones. Of a path to a
+    file the list is that file, unchecked.
     """
     if path.is_file():
         return [path]
@@ -75,13 +75,20 @@ def bag_files(path: Path) -> list[Path]:
             about = read_yaml(path / "metadata.yaml").get("rosbag2_bagfile_information")
             named = about.get("relative_file_paths") if isinstance(about, dict) else None
             if isinstance(named, list):
-                found = [path / name for name in dict.fromkeys(Path(str(n)).name for n in named)]
+                listed = [path / name for name in dict.fromkeys(Path(str(n)).name for n in named)]
+                found = [_unpacked_file(file) for file in listed]
     found = found or [file for file in inside if file.suffix in SUFFIXES]
-    for file in found or inside:
+    for file in found or [file for file in inside if Path(file.stem).suffix in SUFFIXES]:
         check_packed(file)
     if not found:
         raise ParameterError(f"{path}: no .mcap or .db3 file in this folder: expected a ROS 2 bag")
     return found
+
+
+def _unpacked_file(file: Path) -> Path:
+    """What was unpacked of a compressed `file`, where it lies beside it; else `file` itself."""
+    inner = file.with_suffix("")
+    return inner if file.suffix in _UNPACK and inner.is_file() else file
 
 
 def check_packed(file: Path) -> None:

@@ -61,7 +61,8 @@ def meant(name: str, header: Collection[str], known: Collection[str]) -> str:
     while len(words) > 1 and words[-1] in UNITS:
         words.pop()
     bare = "_".join(words)
-    like = [column for column, (_, names) in OTHERS.items() if bare in (column, *names.split())]
+    written = {bare, "".join(words)}
+    like = [column for column, (_, names) in OTHERS.items() if written & {column, *names.split()}]
     if not like:
         return nearest(bare, known)
     left = [f"{column!r} ({OTHERS[column][0]})" for column in like if column not in header]

@@ -159,12 +159,14 @@ MEASURED = Points(
 def newton_raphson(
     points: Points, guess: ArrayLike, e: Equations, backtracking: bool = False
 ) -> np.ndarray:
-    """Roots (phi [deg], K [m], S) by Newton-Raphson, the paper's Section 4; NaN where it is lost.
+    """Soils (phi [deg], K [m], S) whose pulls by `e` are the three of `points`, by Newton-Raphson,
+    the paper's Section 4; NaN where a search is lost.
 
     `guess` is [3], or [G, 3] for G searches; the fields of `points` are [3], the same for all
     searches, or [G, 3]. A search is lost at a singular Jacobian, at K <= 0, where Eq. (10) means
-    nothing, and after `_ITERATIONS`. With `backtracking` a step is halved until it leads to
-    positive parameters, phi < 90 deg, that fit better; a search that finds none is lost.
+    nothing, and after `_ITERATIONS`. With `backtracking` a step beyond `_TOLERANCE` is halved until
+    it leads to positive parameters, phi < 90 deg, that fit better; a search that finds none is
+    lost.
     """
     x = np.array(np.atleast_2d(guess), dtype=float)
     slip, sinkage, pull = (np.broadcast_to(v, x.shape) for v in points)

@@ -19,7 +19,7 @@ from soil_env.simulation.task import Cause
 from soil_env_agents import cells
 from soil_env_agents.controllers import make_controller
 from soil_env_agents.evaluate import command, comparing, own, report
-from soil_env_agents.evaluate.contestants import parse
+from soil_env_agents.evaluate.contestants import model_bytes, parse
 from soil_env_agents.evaluate.driving import (
     HELD_OUT_SET,
     METRICS,
@@ -499,6 +499,9 @@ def test_a_glob_finds_models_once_and_names_runs_whose_training_is_not_done(caps
         said = " ".join(capsys.readouterr().out.split())
         assert said.endswith(ends) and bool(said) == bool(ends)
     refused(lambda: parse(f"a={tmp_path}/k*"), "no model matches; ", "killed: training is not done")
+    refused(lambda: model_bytes(str(tmp_path / "killed" / "model.zip")), "training is not done")
+    for other in ("killed/modle.zip", "done/comparison"):
+        refused(lambda other=other: model_bytes(str(tmp_path / other)), "cannot be read")
 
 
 def test_a_controller_that_fails_on_the_way_is_named(capsys, tmp_path):

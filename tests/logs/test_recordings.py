@@ -96,8 +96,11 @@ def test_a_bag_of_several_files_with_and_without_metadata(tmp_path):
     assert np.array_equal(read(folder).readings["speed"], log.readings["speed"])
     (folder / "a_1.mcap.zstd").write_bytes(b"")
     (folder / "metadata.yaml").write_text(json.dumps(named).replace("a_1.mcap", "a_1.mcap.zstd"))
+    assert np.array_equal(read(folder).readings["speed"], log.readings["speed"])  # unpacked
+    unpacked = (folder / "a_1.mcap").rename(folder / "elsewhere")
     with pytest.raises(ParameterError, match="a_1.mcap.zstd: is compressed as a whole"):
         read(folder)
+    unpacked.rename(folder / "a_1.mcap")
     # A list that cannot be read; beside what it would name a packed copy and another file.
     (folder / "a_1.mcap.md5").write_text("0")
     no_list = {"rosbag2_bagfile_information": {"relative_file_paths": 5}}

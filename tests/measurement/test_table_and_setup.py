@@ -201,6 +201,7 @@ def test_refuses_a_bad_table(tmp_path, lines, words):
         ("omega", "speed", "rim is in the slip"),
         ("v", "speed", "m/s"),
         ("mx", "torque", "axle"),
+        ("F_z", "load", "on the wheel"),
         ("My [N m]", "torque", "axle"),
         ("moment", "torque", "N m"),
         ("slope", "grade_deg", "degrees"),

@@ -82,7 +82,7 @@ class SlipFollower(Ramped):
         raise NotImplementedError
 
     def rim_speed(self, observation, state):
-        """Rim speed [m/s], [n]: V/(1 - i) and a lead, at least the setting `start`, at most the
+        """Rim speed [m/s], [n]: V/(1 - i) plus a lead, at least the setting `start`, at most the
         ramp.
 
         i is the `target_slip`, at most `MOST_SLIP`; the lead is `_LEAD` times `start`.

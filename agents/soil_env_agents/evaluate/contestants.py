@@ -227,12 +227,14 @@ def model_bytes(path: str) -> bytes:
     try:
         return Path(path).read_bytes()
     except OSError as error:
-        if (Path(path).parent / "config.yaml").is_file():
+        # In a run folder: its training has not written the model yet.
+        there = Path(path).name == "model.zip" and (Path(path).parent / "config.yaml").is_file()
+        if there and isinstance(error, FileNotFoundError):
             resume = again("train", "--resume", Path(path).parent)
             raise ParameterError(
                 f"controllers: {path}: missing; its training is not done: {resume}"
             ) from None
-        expected = "expected a model, .zip, or a run folder"
+        expected = "expected a model, .zip, .npz or .onnx, or a run folder"
         raise ParameterError(
             f"controllers: {path}: cannot be read ({error.strerror}); {expected}"
         ) from None

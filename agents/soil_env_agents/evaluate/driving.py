@@ -170,9 +170,10 @@ def run_courses(
     """Drive `controller` over the first `courses` of the set `seed`, or over a range of them, of a
     wheel or of a rover.
 
-    `controller` has `predict` and `variant` (the observation it reads), and `drives` where it takes
-    another action than the scenario's. Course k of a set is the same for every controller. `model`
-    has the effects of the world. `detailed`: with the metrics `DETAILED` of a wheel.
+    `controller` has `predict` and `variant` (the observation it reads), and `drives`, fields of
+    `control`, where it takes another action than the scenario's. Course k of a set is the same for
+    every controller. `model` has the effects of the world. `detailed`: with the metrics `DETAILED`
+    of a wheel.
 
     The same arguments give the same runs, bit for bit, whatever the number of threads. For a neural
     network the last bits may depend on how many courses are driven side by side.

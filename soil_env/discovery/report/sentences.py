@@ -503,8 +503,8 @@ def probabilities(report: Report) -> str:
     )
 
 
-def rule() -> str:
-    """Sentences on the prior odds behind the probabilities."""
+def prior_odds() -> str:
+    """Sentences on the prior odds behind the probabilities, and on what is stated or named."""
     listed, rig, law, other = (
         f"1 to {1.0 / odds:.0f}" for odds in (ODDS, RIG_ODDS, UNNAMED_ODDS, UNLISTED_ODDS)
     )
@@ -512,8 +512,8 @@ def rule() -> str:
         f"Before the table, the odds that an effect is missing are {listed} for each that is "
         f"listed, {rig} for each error of the instrument, {law} for each of {len(UNNAMED)} laws "
         f"without a name, and {other} for anything else. The laws of the model count as "
-        "approximate, by an amount that the table decides. What has 50 % or more is stated, a name "
-        f"if it has that too where the laws err by {percent(LAW_ERRORS[-1])}."
+        f"approximate, by an amount that the table decides. What has {percent(NAMED)} or more is "
+        f"stated, a name if it has that too where the laws err by {percent(LAW_ERRORS[-1])}."
     )
 
 

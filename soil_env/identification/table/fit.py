@@ -150,9 +150,9 @@ class TableEstimate:
 
     parameters: dict[str, Parameter]  # names as in the setup, and `reference_pressure`, S z_ref^n
     free: tuple[str, ...]  # fitted parameters in words
-    #: [p, p] of the fitted among (phi [rad], ln K, ln S z_ref^n, n, c [Pa], tilt [deg]).
+    #: [f, f] of the f fitted among (phi [rad], ln K, ln S z_ref^n, n, c [Pa], tilt [deg]).
     covariance: np.ndarray
-    correlation: np.ndarray  # [p, p]
+    correlation: np.ndarray  # [f, f]
     condition: float  # of the whitened Jacobian in units of the prior sd
     reference_sinkage: float  # z_ref [m], median sinkage; of the fitted ones if none was measured
     fits: dict[str, ChannelFit]  # of the measured channels, and of the load if it has noise
@@ -260,16 +260,16 @@ class _Plain(NamedTuple):
 def _settle(
     problem: TableProblem, u: np.ndarray, with_noise: bool = True
 ) -> tuple[np.ndarray, bool]:
-    """(solution u [p], True if converged), sought from u in at most `_PASSES`.
+    """(solution u [p], True if converged), sought from u in at most `_PASSES` passes.
 
-    A pass is a least-squares fit, new noise for channels whose noise is estimated (only
-    `with_noise`), and new most probable slips and loads. Noise, slips and loads of the last pass
-    stay in the problem. If the moves of the solution hardly become smaller after a quarter of the
-    passes, they are cut. It has converged when moves and changes of the noise are small
-    (`_SETTLED`, `_SETTLED_NOISE`).
+    A pass is a least-squares fit, new noise for channels whose noise is estimated (without
+    `with_noise` it stays), and new most probable slips and loads. Noise, slips and loads of the
+    last pass stay in the problem. If the moves of the solution hardly become smaller after a
+    quarter of the passes, they are cut. It has converged when moves and changes of the noise are
+    small (`_SETTLED`, `_SETTLED_NOISE`).
     """
     share = 1.0  # of each move; cut where moves go in circles, as when the model does not fit
-    last = math.inf  # change of the iteration before
+    last = math.inf  # size of the move before
     problem.weigh(problem.by_conditions(u))
     for count in range(_PASSES):
         noise = problem.noise.copy()
@@ -287,9 +287,11 @@ def _settle(
     return u, False
 
 
-def _scaling(problem: TableProblem) -> dict[str, np.ndarray]:
-    """Derivatives [p] by u of each parameter in its coordinate: phi [deg], ln K, ln S, n, c [Pa],
-    ln of S z_ref^n, tilt [deg]; 0 for those that are not fitted.
+def _derivatives(problem: TableProblem) -> dict[str, np.ndarray]:
+    """Derivatives [p] of each parameter, by name, by the p whitened unknowns of soil and rig.
+
+    Parameters are in the coordinate of the fit: phi [deg], ln K, ln S, n, c [Pa], ln of S z_ref^n,
+    tilt [deg]. Of those that are not fitted all derivatives are 0.
     """
     unknowns = problem.unknowns
     # x = mean + sd u
@@ -313,7 +315,7 @@ def _summary(
     (`_missed`); `dense`: words on bins, "" for a table without. The covariance is about u, which is
     the estimate, and not about the mean over the `LAW_ERRORS`, which differs from u.
     """
-    scaling = _scaling(problem)
+    scaling = _derivatives(problem)
     free = [name for name in LABELS if np.any(scaling[name])]
     # S and n are correlated, so S z_ref^n is given in place of S; phi is in rad.
     published = scaling | {
@@ -390,8 +392,8 @@ def _parameters(
     `covariance` [p, p] of u; the tilt only if the setup has one.
 
     Intervals are cut at the bounds of the unknowns. Those of K, S and p_ref = S z_ref^n are
-    computed in the logarithm. `scaling`: derivatives as from `_scaling`. Where noise is estimated,
-    Student's t has the degrees of freedom of the channel with the fewest, at least 1.
+    computed in the logarithm. `scaling`: derivatives as from `_derivatives`. Where noise is
+    estimated, Student's t has the degrees of freedom of the channel with the fewest, at least 1.
     """
     freedom = max(1.0, np.min(problem.freedom))
     # [sd] half of an interval

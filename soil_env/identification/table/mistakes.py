@@ -697,7 +697,9 @@ def _worst_row(data: Data, off: np.ndarray, sd: np.ndarray) -> int:
     rows = np.arange(len(slip))
 
     def cost_without(row: int) -> float:
-        """Cost of the fit to all other rows, over the number of their values; inf if too few."""
+        """Cost of the fit to all other rows, over the number of their values; inf where the rest is
+        refused.
+        """
         there = _plain(data.table.only(rows != row), data.setup)
         try:
             found = _fit(there, sd, np.delete(data.measured, row, axis=0))
@@ -841,7 +843,7 @@ def _outliers(data: Data, noise: NoiseEstimate) -> tuple[list[str], list[str]]:
 
 def _load_alone(table: Table) -> list[str]:
     """[doubt] of the largest or least load where it is far (`APART`) from all others, which are
-    `ALIKE`: nothing in the table can check it. Else [].
+    `ALIKE`: nothing in the table can check it. Else, and for `FEWEST_ROWS` rows or fewer, [].
     """
     order = np.argsort(table.load)
     load = table.load[order]

@@ -270,8 +270,8 @@ def _studentised(spread: np.ndarray, square: float, freedom: int) -> np.ndarray:
     So a single large value cannot hide by drawing the surface to itself or by raising the noise.
     This is the externally studentised residual (Belsley, Kuh & Welsch 1980, Eq. 2.26), turned into
     the distance that has the same probability under a known noise. `spread` [N]: residuals over
-    sqrt(1 - leverage); `square`: sum of squared residuals; `freedom`: degrees of freedom of the
-    others.
+    sqrt(1 - leverage); `square`: sum of squared residuals of the values kept; `freedom`: degrees of
+    freedom of the others.
     """
     # of the others; where one value makes up the whole sum its difference is rounding
     rest = np.maximum(square - spread**2, 1e-12 * square)

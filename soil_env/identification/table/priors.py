@@ -89,10 +89,11 @@ def bounds_of(unknowns: Sequence[Unknown]) -> np.ndarray:
 def soil_unknowns(
     setup: Setup, load: np.ndarray, sinkage: np.ndarray, widened: float = 1.0
 ) -> tuple[tuple[Unknown, ...], dict[str, float]]:
-    """(unknowns of the soil, values by name that the setup knows) of a table with loads [N] and
-    sinkages [N], nan where not measured.
+    """(unknowns of the soil, values by name that the setup knows) of a table: `load` of each row in
+    N, `sinkage` of each row in m, nan where not measured.
 
-    A parameter without a prior in the setup is the `BROAD` unknown; for any other the standard
+    A parameter without a prior in the setup is the `BROAD` unknown; that of S has the mean of
+    `plate_coefficient`. For any other the standard
     deviation of its prior is multiplied by `widened`. If the setup gives `tilt_deg`, that is the
     last of the unknowns, its prior as it is, or known.
     """

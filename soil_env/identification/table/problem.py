@@ -267,8 +267,8 @@ class TableProblem:
         return self.known | parameters_at(self.unknowns, u)
 
     def predict(self, u: np.ndarray, rows: Rows | None = None) -> np.ndarray:
-        """What the sensors read, as `read`, at the corrected conditions, or at those of `rows` [N];
-        0 where the table has no measured value.
+        """Readings [N, 3] (sinkage [m], drawbar pull [N], torque [N m]) at the whitened unknowns u
+        and the corrected conditions, or those of `rows` [N]; 0 where not measured, as the residual.
         """
         return np.where(self.measured, self.read(u, rows or self.corrected), 0.0)
 
@@ -392,7 +392,7 @@ class TableProblem:
 
     def by_law_error(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(probability [S] of each of the S `LAW_ERRORS` given the table, mean [S, p] and
-        covariance [S, p, p] of the whitened unknowns under it), linearised at the whitened u.
+        covariance [S, p, p] of the whitened unknowns under each), linearised at the whitened u.
         """
         log, mean, covariance = self.evidence(u)
         return np.exp(log - logsumexp(log)), mean, covariance
