@@ -158,7 +158,7 @@ def figures(case: Case, folds: int | None = None) -> dict:
             name: getattr(case.table, name)[out] for name in ("slip", "load", "speed", "grade_deg")
         }
         conditions["slip"] = case.table.rim_slip(case.setup)[out]
-        base = fit_prediction(problem, (), smooth=False).at(conditions)
+        base = fit_prediction(problem, (), with_remainder=False).at(conditions)
         near = fit_prediction(problem, ()).at(conditions)
         curves = curves_of(problem)
         if curves is None:

@@ -376,6 +376,16 @@ def test_a_file_changes_the_scenario_that_its_base_names(tmp_path):
         assert re.search(said, refused(partial(load_scenario, given)))
 
 
+def test_a_library_that_was_the_mixture_follows_it_without_soils_of_weight_0(tmp_path):
+    """Again and again: a soil of weight 0 is no soil of the library, and does not end that."""
+    (tmp_path / "none.yaml").write_text("base: mixed\nsoils: {dry_sand: 1, lete_sand: 0}\n")
+    none = load_scenario(str(tmp_path / "none.yaml"))
+    assert none.belief.soils == {"dry_sand": 1.0}
+    both = {"dry_sand": 1.0, "lete_sand": 2.0}
+    again = load_scenario(str(tmp_path / "none.yaml"), {"soils": both})
+    assert again.belief.soils == both
+
+
 def test_a_file_without_soils_gives_the_belief_no_library(tmp_path):
     """That of its base neither names soils; numbers of the prior may stand beside the mixture."""
     base = tmp_path / "base.yaml"

@@ -80,7 +80,8 @@ class Schedules(BaseCallback):
     leaving the teacher.
 
     The logarithm of the noise falls from `log_std_init` to `log_std_final`, and is learned where
-    that is None. The weight of the penalty falls from `penalty` to 0 at half of the training.
+    that is None. The weight of the penalty is `penalty` at step 0, and falls to 0 at half of the
+    training. Steps as a student count: after them both have fallen already.
     Schmitt et al. 2018 (arXiv:1803.03835) let a loss fade in the same way.
     """
 
@@ -94,7 +95,9 @@ class Schedules(BaseCallback):
         return True
 
     def _on_rollout_start(self) -> None:
-        """Set noise and penalty for the rollout, by the share of the training that is done."""
+        """Set noise and penalty for the rollout, by the share of the training that is done, steps
+        as a student included.
+        """
         done = self.model.num_timesteps / self.locals["total_timesteps"]
         config = self.config
         if config.log_std_final is not None:

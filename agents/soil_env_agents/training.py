@@ -29,8 +29,6 @@ from .progress import Bar, show
 MODEL = "model.zip"
 CHECKPOINT = "checkpoint.zip"
 BEGUN = ".{}.begun.yaml"  # copy of a file of the run, as it was when the run began
-# Characters that the name of a run may not have: a list of controllers would split it, take it as a
-# pattern or for module:Class; and characters that cannot be printed.
 _RECENT = 1000  # courses whose mean return and rates are shown
 _STUCK = [cause.name for cause in IMMOBILISED]
 
@@ -244,7 +242,7 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
             watch = _Watch(folder, config.checkpoint_every, bar)
             calls = [schedules, chooser, watch]
             try:
-                with _curves_named(folder / "tensorboard"):
+                with _naming_tensorboard_folder(folder / "tensorboard"):
                     model.learn(left, callback=calls, reset_num_timesteps=False, tb_log_name="PPO")
             except (KeyboardInterrupt, OSError, SystemExit):  # rich ends so where nobody reads
                 # The rollout under way is lost: its steps were not learnt from.
@@ -255,30 +253,36 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
 
 
 @contextmanager
-def _curves_named(folder: Path) -> Iterator[None]:
-    """Inside the block an OSError of the thread in which TensorBoard writes has the `folder` as its
-    file, and its traceback is not printed there.
+def _naming_tensorboard_folder(folder: Path) -> Iterator[None]:
+    """Inside the block an OSError that ended a thread, and that TensorBoard raises again in the
+    main thread, gets `folder` as its file, and no traceback of that thread is printed.
 
-    TensorBoard raises such an error again in the main thread; other errors stay as they are.
+    Other errors that end a thread are printed as usual, an OSError at the end of the block.
     """
     failed = []
     usual = threading.excepthook
 
     def note(error) -> None:
         """Hook of Python for an exception that ends a thread."""
-        failed.append(error.exc_value)
-        if not isinstance(error.exc_value, OSError):
+        if isinstance(error.exc_value, OSError):
+            failed.append(error)
+        else:
             usual(error)
 
     threading.excepthook = note
+    raised = None
     try:
         yield
     except OSError as error:
-        if any(error is own for own in failed):
+        raised = error
+        if any(error is own.exc_value for own in failed):
             raise OSError(error.errno, error.strerror, str(folder)) from None
         raise
     finally:
         threading.excepthook = usual
+        for own in failed:
+            if own.exc_value is not raised:
+                usual(own)
 
 
 def trained(config: TrainConfig, scenario: Scenario | RoverScenario) -> Path:

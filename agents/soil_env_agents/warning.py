@@ -158,12 +158,12 @@ class Drives:
     least: float  # [m] of progress in a period at the least mean speed that the task asks for
     least_progress: float  # [m] that the wheel has to get further within the limit of no progress
 
-    def since(self, period: np.ndarray) -> np.ndarray:
-        """Time spent driving [s] from the period `period` [courses] of each course to every period,
-        [periods, courses]; negative before.
+    def since(self, start: np.ndarray) -> np.ndarray:
+        """Time spent driving [s] from the end of the period with the index `start` [courses] to the
+        end of every period, [periods, courses]; negative before.
         """
         clock = np.cumsum(self.driving, axis=0) * self.period
-        return clock - np.take_along_axis(clock, period[None], axis=0)
+        return clock - np.take_along_axis(clock, start[None], axis=0)
 
     @property
     def ahead(self) -> np.ndarray:
@@ -279,6 +279,7 @@ def probabilities(network: Network, found: Drives) -> np.ndarray:
     x = np.clip((x - network.mean) * network.scale, -LARGEST, LARGEST)
     x = np.tanh(x @ network.first + network.first_bias)
     x = np.tanh(x @ network.second + network.second_bias)
+    # hazards: of the first horizon, and of the rest where the first has passed
     early, late = (1.0 / (1.0 + np.exp(-(x @ network.last + network.last_bias)))).T
     out = np.zeros(found.alive.shape)
     out[found.alive] = early + (1.0 - early) * late

@@ -126,11 +126,11 @@ def render(template: str, **values: object) -> str:
     Values are escaped in templates whose name ends in .html. A template that uses a value which was
     not given raises an error.
     """
-    return _environment().get_template(template).render(**values)
+    return _jinja().get_template(template).render(**values)
 
 
 @cache
-def _environment() -> jinja2.Environment:
+def _jinja() -> jinja2.Environment:
     """The one environment of all templates, with `hanging` as a filter."""
     made = jinja2.Environment(
         loader=jinja2.FunctionLoader(_source),

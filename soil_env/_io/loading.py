@@ -367,7 +367,7 @@ def number(kind: type, value, where: str):
 
 def decimal(text: str) -> float:
     """The number that `text` is, nan and inf too; ValueError for any other text, and for 1_0 and
-    digits of other scripts, which Python reads as well.
+    digits of other scripts, which Python reads as well. Blanks around it pass; 1e400 is inf.
     """
     if "_" in text or not text.isascii():
         raise ValueError(text)
@@ -375,7 +375,7 @@ def decimal(text: str) -> float:
 
 
 def merge(base: dict, changes: dict) -> dict:
-    """`base` with the values of `changes`; neither argument is modified.
+    """`base` with the values of `changes`; neither argument is modified. Nested values are shared.
 
     A value replaces that of `base`, but where both are mappings they are merged key by key.
     """

@@ -98,7 +98,7 @@ def keys_of(
 
 
 def _class_in(hint: Any) -> type | None:
-    """The dataclass that a type hint names, alone, as one of several, or as the elements of a
+    """The first dataclass that a type hint names, alone, as one of several, or as the elements of a
     tuple or the values of a mapping; None without one.
     """
     kinds = (hint, *typing.get_args(hint))

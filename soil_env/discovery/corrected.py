@@ -35,7 +35,7 @@ from soil_env.terramechanics.residual import (
     dimensionless_groups,
 )
 from soil_env.terramechanics.steady import Rim
-from soil_env.terramechanics.validity import seen
+from soil_env.terramechanics.validity import ranges_of
 
 from .calibrate import Problem, sinkage_guess
 from .instrument import INSTRUMENT, LISTED, Choice
@@ -77,7 +77,7 @@ def model_of(problem: Problem, choices: Sequence[Choice], values: Values) -> Whe
         wheel = replace(wheel, grouser_height=0.0)  # a height was assumed only to try grousers
     soil = replace(soil, source="calibrated by soil_env.discovery")
     return WheelSoilModel(
-        wheel, soil, effects, gravity=setup.gravity, validity=seen(problem.data.rows)
+        wheel, soil, effects, gravity=setup.gravity, validity=ranges_of(problem.data.rows)
     )
 
 

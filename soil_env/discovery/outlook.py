@@ -107,7 +107,7 @@ def _left_out(problem: Problem, groups: np.ndarray) -> np.ndarray:
         group = groups == k
         rest = problem.without(group)
         at = {name: x[group] for name, x in problem.data.conditions.items()}
-        held[0, group] = fit_prediction(rest, (), smooth=False).mean_at(at)
+        held[0, group] = fit_prediction(rest, (), with_remainder=False).mean_at(at)
         held[1, group] = fit_prediction(rest).mean_at(at)
         curves = curves_of(rest)
         if curves is not None:

@@ -53,7 +53,7 @@ FLOW = {
 }
 ROUNDS = 2  # of fitting the unknowns and learning the remainder, in turn
 OFF_BOUND = 0.3  # [prior sd] least distance of the start from a bound; own choice
-JUST_OFF = 1e-6  # [prior sd] the same of another start of the base model
+JUST_OFF = 1e-6  # [prior sd] the same of another start of a fit without remainder
 IMPOSSIBLE = 1e10  # -ln of the likelihood where it cannot be computed
 FORCE_SCALE = 0.3  # of the load: scale of pull, and of torque over the radius; own choice
 LEAST_SINKAGE = 0.004  # [radii] least scale of the sinkage; own choice
@@ -320,18 +320,18 @@ class Prediction:
 
 
 def fit_prediction(
-    problem: Problem, choices: Choices | None = None, smooth: bool = True
+    problem: Problem, choices: Choices | None = None, with_remainder: bool = True
 ) -> Prediction:
     """The fit of the effects that the table can carry, or of `choices`, with a remainder.
 
     Unknowns and remainder are found in turn, `ROUNDS` times, and the unknowns once more at last. If
-    not `smooth`, there is no remainder and the fit is under the noise alone.
+    not `with_remainder` the fit is under the stated noise alone, the better of two starts.
     """
     choices = effects_to_fit(problem) if choices is None else choices
     law = Law(problem, choices, priors=FLOW)
     # From the prior mean, 0, but off the bounds: a start on a bound would stay there.
     u = _inside(law, OFF_BOUND)
-    if not smooth:
+    if not with_remainder:
         # Of a soil whose mean is near a bound, `OFF_BOUND` may lead to a poorer minimum.
         both = (
             _fitted(Law(problem, choices, priors=FLOW), start, NO_REMAINDER)

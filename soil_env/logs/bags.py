@@ -537,7 +537,9 @@ def _kind(value: Any) -> str:
         return f"text {value[:20]!r}"
     if hasattr(value, "__len__"):
         return f"a list of {len(value)}"
-    return type(value).__name__.removesuffix("_")  # bool_ and str_ of numpy
+    if _has_fields(value):
+        return "a part with fields"
+    return type(value).__name__.removesuffix("_")  # bool_ of numpy 1
 
 
 def _near(message: Any, steps: list[str]) -> str:

@@ -275,10 +275,11 @@ def _check_kind(mapping: Keys, changes: Keys, folder: str, where: str) -> None:
 def _merged(mapping: Keys, changes: Keys, where: str) -> Keys:
     """The mapping of a scenario with `changes` over it, and a preset of its wheel by its values.
 
-    `soils` in the changes replace the whole mixture. They also replace the library of the belief,
-    without soils of weight 0, where that was equal to the mixture. `belief.soils` in the changes
-    replace the whole library. A wheel in the changes that is no mapping, or that names a `preset`,
-    replaces the whole wheel. Neither argument is modified.
+    `soils` in the changes replace the whole mixture. They also replace `belief.soils`, without
+    soils of weight 0, where these were those of the mixture. `belief.soils` in the changes replace
+    them whole. A wheel in the changes that is no mapping, or that names a `preset`, replaces the
+    whole wheel. Neither mapping is modified. `ParameterError`, beginning with `where`, for an
+    unknown preset, and for priors of a soil beside `belief.soils`.
     """
     mapping = {key: _plain(value) for key, value in mapping.items()}
     changes = dict(changes)
@@ -287,11 +288,8 @@ def _merged(mapping: Keys, changes: Keys, where: str) -> Keys:
     if "soils" in changes:  # replaces the whole mixture
         given = changes.pop("soils")
         # A library that was the mixture still follows it.
-        if "soils" in mapping and belief.get("soils") == mapping["soils"]:
-            kept = given
-            if isinstance(given, dict):
-                kept = {name: weight for name, weight in given.items() if weight != 0.0}
-            belief = belief | {"soils": kept}
+        if "soils" in mapping and belief.get("soils") == _weighted(mapping["soils"]):
+            belief = belief | {"soils": _weighted(given)}
             mapping["belief"] = belief
         mapping["soils"] = given
     if "soils" in asked:
@@ -311,6 +309,13 @@ def _merged(mapping: Keys, changes: Keys, where: str) -> Keys:
     if "wheel" in mapping:
         mapping["wheel"] = with_preset(mapping["wheel"], where)
     return mapping
+
+
+def _weighted(mixture: Any) -> Any:
+    """A mixture of soils without those of weight 0; anything else as it is."""
+    if not isinstance(mixture, dict):
+        return mixture
+    return {name: weight for name, weight in mixture.items() if weight != 0.0}
 
 
 def _plain(value: Any) -> Any:

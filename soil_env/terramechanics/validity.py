@@ -32,11 +32,11 @@ def check(validity: Mapping[str, tuple[float, float]]) -> None:
             raise ParameterError(f"validity.{name} = {pair}: expected [lowest, highest]")
 
 
-def seen(rows: Any) -> dict[str, tuple[float, float]]:
+def ranges_of(rows: Any) -> dict[str, tuple[float, float]]:
     """{condition: (lowest, highest)} of `steady.Rows`.
 
     A speed of 0 stands for one not known, and is left out; so is a condition without any row.
-    Grades are in degrees, to six decimals.
+    Grades are in degrees, to six decimals, since the sine that they are from rounds them.
     """
     speed, passes, sine = rows.conditions.T
     columns = {
@@ -55,7 +55,7 @@ def outside(validity: Mapping[str, tuple[float, float]], rows: Any) -> str:
 
     `NEAR` of the range, and at least `ROUNDING` of a bound, is tolerated.
     """
-    asked = seen(rows)
+    asked = ranges_of(rows)
     out = []
     for name, (low, high) in validity.items():
         if name not in asked:

@@ -278,11 +278,24 @@ def test_a_model_that_is_trained_again_is_compared_again(capsys, tmp_path, monke
 def test_an_error_of_the_thread_of_tensorboard_names_its_folder(capsys):
     failed = OSError(28, "full")
     thread = threading.Thread(target=Mock(side_effect=failed))
-    with pytest.raises(OSError, match="curves"), training._curves_named(Path("curves")):
+    with (
+        pytest.raises(OSError, match="curves"),
+        training._naming_tensorboard_folder(Path("curves")),
+    ):
         thread.start()
         thread.join()
         raise failed
     assert capsys.readouterr().err == ""
+
+
+def test_an_error_of_another_thread_is_printed_at_the_end(capsys):
+    """Where nothing raises it again, nothing else would tell of it."""
+    thread = threading.Thread(target=Mock(side_effect=OSError(28, "no space for another")))
+    with training._naming_tensorboard_folder(Path("curves")):
+        thread.start()
+        thread.join()
+        assert capsys.readouterr().err == ""
+    assert "no space for another" in capsys.readouterr().err
 
 
 def test_a_shipped_config_is_found_by_its_name(tmp_path, monkeypatch):

@@ -123,7 +123,7 @@ def test_braked_rows_are_predicted_from_driven_ones_where_soil_flows(tmp_path, s
     for mean in (found.mean_at(at), simulated):
         off = np.abs(mean - true)
         assert np.all(off[:, 1:] < most)
-    base = np.abs(fit_prediction(problem, (), smooth=False).mean_at(at) - true)
+    base = np.abs(fit_prediction(problem, (), with_remainder=False).mean_at(at) - true)
     assert np.all(base[:, 1] > 15.0) and np.all(base[:, 2] > 2.0)
 
 

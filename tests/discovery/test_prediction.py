@@ -48,7 +48,7 @@ def test_rows_that_were_not_made_are_predicted_within_the_stated_deviations(
     at = {"slip": np.array(slip), "load": np.array(load)}
     y = truth(PLANTED, slip, load)
     full = learnt.at(at)
-    base = fit_prediction(planted_problem, (), smooth=False).at(at)
+    base = fit_prediction(planted_problem, (), with_remainder=False).at(at)
     assert over_noise(full.mean - y) < min(1.0, 0.7 * over_noise(base.mean - y))
     assert np.all(full.sd > 0.9 * np.array(list(NOISE.values())))
     assert np.mean(np.abs(full.mean - y) < 2.0 * full.sd) > 0.9
@@ -63,7 +63,7 @@ def test_far_rows_are_less_sure(learnt):
 
 def test_the_deviations_of_a_model_without_remainder_are_those_of_noise_and_soil(tmp_path):
     problem = problem_of(tmp_path, table_text({}, loads=LOADS))
-    found = fit_prediction(problem, (), smooth=False).at({"slip": [0.25], "load": [120.0]})
+    found = fit_prediction(problem, (), with_remainder=False).at({"slip": [0.25], "load": [120.0]})
     assert found.sd[0] / list(NOISE.values()) == pytest.approx(WIDER, rel=0.25)
     assert np.all(found.sd[0] >= WIDER * np.array(list(NOISE.values())))
 
@@ -85,7 +85,7 @@ def test_a_smooth_remainder_that_no_effect_has_is_predicted(tmp_path):
     y = truth({}, at["slip"], at["load"])
     y[:, 2] += hump(at["slip"])
     with_it, without = (
-        fit_prediction(problem, smooth=smooth).at(at).mean for smooth in (True, False)
+        fit_prediction(problem, with_remainder=smooth).at(at).mean for smooth in (True, False)
     )
     off, more = (np.abs(found - y)[:, 2].max() for found in (with_it, without))
     assert off < 0.25 < more
@@ -141,7 +141,7 @@ soil:
 noise: {sinkage: 0.0006, drawbar_pull: 0.8, torque: 0.1}
 """
     problem = problem_of(tmp_path, table_text({}), setup)
-    assert fit_prediction(problem, (), smooth=False).values["cohesion"] > 1500.0
+    assert fit_prediction(problem, (), with_remainder=False).values["cohesion"] > 1500.0
 
 
 def test_a_table_of_one_channel_is_predicted(tmp_path):
@@ -169,5 +169,5 @@ def test_the_base_model_fits_the_pulls_that_it_made_itself(tmp_path):
     lines = [f"{slip},170,{pull}" for slip, pull in pulls.items()]
     setup = "wheel: {radius: 0.225, width: 0.2}\nnoise: {drawbar_pull: 4}\n"
     problem = problem_of(tmp_path, "\n".join(["slip,load,drawbar_pull", *lines]) + "\n", setup)
-    residual = fit_prediction(problem, (), smooth=False).residual
+    residual = fit_prediction(problem, (), with_remainder=False).residual
     assert residual == pytest.approx(np.zeros(7), abs=0.5)

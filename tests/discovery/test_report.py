@@ -201,7 +201,7 @@ def test_curves_have_the_tilt_of_a_rig_once(tmp_path):
     """Where the load is vertical it is a part of the grade."""
     setup = SETUP + "tilt_deg: {value: 4, sd: 0.01}\nload: vertical\n"
     problem = problem_of(tmp_path, table_text({}, loads=(100, 200)), setup)
-    model = fit_prediction(problem, (), smooth=False)
+    model = fit_prediction(problem, (), with_remainder=False)
     report = SimpleNamespace(
         problem=problem, base=problem.fit(), outlook=SimpleNamespace(model=model)
     )

@@ -71,8 +71,8 @@ class RoverController(Observing):
         )
 
     def _answer(self, batch, state, fresh, deterministic):
-        """Actions of `command` [n, axles], and the state of the wheels, a row for each wheel, with
-        `begun`: the mask `fresh` [n] of the rovers.
+        """Actions of `command` [n, axles], and the state: a row for each wheel, what subclasses
+        keep of each rover, and `begun`, the mask `fresh` [n] of the rovers.
         """
         batch = batch.astype(np.float64)
         each = batch[:, self._columns]

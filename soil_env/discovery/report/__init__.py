@@ -117,7 +117,10 @@ def show(report: Report, console: Console) -> None:
 
 def content(report: Report) -> dict[str, Any]:
     """Content of report.json: plain values, in the units that they have in the `Report`, None where
-    there is no number; every key is always present.
+    there is no number.
+
+    Each key of the top level is always present. Entries by channel are of the channels in use;
+    hypotheses below `LEAST` are left out.
     """
     noise = report.noise
     finding = report.finding

@@ -250,7 +250,7 @@ def _place(point: Mapping[str, float]) -> str:
 
 def summary(report: Report) -> str:
     """Paragraph by the verdict ("summary.txt"): what is missing, its probability, what else it may
-    be, how far the named effects close the gap, and what was refuted.
+    be, how far the named effects close the gap, what was refuted, and scatter.
     """
     finding = report.finding
     gap = report.gap
@@ -264,7 +264,7 @@ def summary(report: Report) -> str:
         report,
         effects=[f"{title(e.name)} (probability {sure(e.probability)})" for e in report.effects],
         rivals=[title(a) for a in dict.fromkeys(a for e in report.effects for a in e.alternatives)],
-        left=[
+        unexplained=[
             f"{amount(n, g.remainder.rms)} of {TITLES[n]}"
             for n, g in gap.items()
             if g.remainder.rms > 0.0
@@ -273,7 +273,7 @@ def summary(report: Report) -> str:
         worst=max((g.over_noise[0] for g in gap.values()), default=0.0),
         weak=sum(d.power < NAMED for d in finding.detectable.values()),
         # The channel whose held-out error over the noise falls most with the named effects.
-        widest=max(gap, key=lambda n: gap[n].over_noise[0] - gap[n].over_noise[1], default=None),
+        improved=max(gap, key=lambda n: gap[n].over_noise[0] - gap[n].over_noise[1], default=None),
         law=UNNAMED[law].title if (law := finding.hypotheses[0].law) else "",
         refuted=[titles(n) for n in dict.fromkeys(finding.refuted) if not {*n} <= {*finding.names}],
     )
@@ -439,12 +439,14 @@ def foreseen(report: Report) -> str:
     )
 
 
-def simulate(report: Report) -> str:
+def simulate_with(report: Report) -> str:
     """Clause on what to simulate with: model.yaml, and what to trust instead for levels that were
     not measured.
 
-    By the errors of what was left out that is the soil of `soil-env identify`, if the base model
-    erred least and the command takes the table. Else it is a plain curve, if that erred less.
+    That is only where model.yaml erred more than the noise, and more than the other by `WORSE`, for
+    what was left out. It is the soil of `soil-env identify`, if the base model erred less than the
+    curve, or no curve knows the level (NaN), and the command takes the table. Else it is a plain
+    curve.
     """
     by_curve = []
     by_identify = []

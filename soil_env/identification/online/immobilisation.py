@@ -69,8 +69,8 @@ class View(NamedTuple):
     are out of sight.
 
     `line` is the route that the wheel is on the way to, `beside` the other one, or the same where
-    there is one route. A margin is the best steady drawbar pull [of load] of a class over the
-    grade; "met" counts the patches it was found on.
+    there is one route. A margin is the best steady drawbar pull [of load] of a class less the
+    tangent of the grade; "met" counts the patches it was found on.
     """
 
     camera: float  # 1 where there is one
@@ -208,8 +208,8 @@ def average(recent, reading, halted, numbers, warning):
 
 @compiled
 def _margin(known, tangent, seen):
-    """(margin [of load] of a `CLASS` over the `tangent` of a grade, patches it was met on up to
-    `_MOST_MET`); both 0 where `seen` is 0.
+    """(best pull [of load] of the class `known` less the `tangent` of a grade, patches it was met
+    on, at most `_MOST_MET`); both 0 where `seen` is 0. `known`: `class_memory.CLASS`.
     """
     margin = seen * (known.estimate[BEST_PULL] - tangent)
     return margin, seen * min(float(known.patches), _MOST_MET)

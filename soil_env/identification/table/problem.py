@@ -337,7 +337,8 @@ class TableProblem:
         return found.reshape(found.shape[0] * found.shape[1], *values.shape[2:])
 
     def target(self) -> np.ndarray:
-        """Measured values [N, 3] less F times the errors of slip and load, which is what the model
+        """Measured values [N, 3] less F times the errors of slip and load (measured less
+        corrected), which is what the model
         at the corrected conditions has to meet; 0 where not measured.
         """
         off = np.stack(
@@ -350,7 +351,9 @@ class TableProblem:
         return self.target() - self.predict(u)
 
     def derivatives(self, u: np.ndarray) -> np.ndarray:
-        """Derivatives [3 N, p] of the whitened model by the whitened unknowns."""
+        """Derivatives [3 N, p] of the readings (`predict`), whitened by noise and form error, by
+        the unknowns u [p], whitened by their priors.
+        """
         return self.whiten(self.by_unknowns(u))
 
     def _differences(self, u: np.ndarray) -> np.ndarray:

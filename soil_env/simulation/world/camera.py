@@ -76,8 +76,8 @@ def sight_of(wheel, course, camera):
 
 @compiled
 def patch_ahead(course, sight, camera):
-    """Index of the patch after that of a `Sight`, if it is drawn and begins within `camera.sight`
-    of the wheel, else -1.
+    """Index of the patch after that of a `Sight`, if it is drawn and seems to begin within
+    `camera.sight` of the wheel, else -1.
     """
     ahead = sight.patch + 1
     return ahead if ahead < course.drawn and sight.left <= camera.sight else -1

@@ -189,7 +189,7 @@ def account(wheel, end, stage, drive, rig):
 @inlined
 def move(wheel, end, stage, ground, drive, rig):
     """Take a wheel to the `end` of a stage, a `Motion`: sinkage and place (`sink`), pile, work
-    (`account`), then speeds, forces and their derivatives.
+    (`account`), then grade, speeds, forces and their derivatives.
 
     The way [m] is the present speed times `stage.first` plus that at the end times `stage.last`;
     the sliding |r w - V| is summed in the same way. `converged` becomes 0 where Newton's method has

@@ -37,8 +37,9 @@ def _other_class(owner, classes, one):
 
 @inlined
 def _unused_class(course, p, classes):
-    """Random class for a patch p < `classes`, from the stream of the course, among those that no
-    earlier patch has (these have one route, route 0). Each of them is equally likely.
+    """Random class, 0 to `classes` - 1, for a patch p < `classes`, from the stream of the course,
+    among those that no earlier patch has (these have one route, route 0). Each of them is equally
+    likely.
     """
     left = classes - p
     pick = int(uniform(course) * left)

@@ -11,13 +11,15 @@ JANOSI = ShearLaw(1.0, 0.0, 0.0, 1.0, 0.0)
 
 @compiled
 def mobilisation(fx):
-    """`ShearLaw` with a peak and a residual strength; that of Eq. (10) where the effect is off.
+    """`ShearLaw` with a peak and a residual strength; that of Janosi & Hanamoto, Eq. (10), where
+    the effect is off.
 
-    (1 - x)(1 + s x) with x = exp(-j/K) falls from its peak to the residual share 4 s/(1 + s)^2 for
-    s > 1 (family of Wong 1983). It is divided by its peak, so that phi and c stay those of the
-    peak. A sharpness s below 1 has no peak and counts as 0. `shear_softening_drop` lets the
-    strength decay to the residual 1 - d over the length L beyond an onset (Oida 1979). With both
-    the residual is the product of the two, and the peak is never passed.
+    (1 - x)(1 + s x) with x = exp(-j/K), j being the shear displacement, falls from its peak to the
+    residual share 4 s/(1 + s)^2 for s > 1 (family of Wong 1983). It is divided by its peak, so that
+    phi and c stay those of the peak. A sharpness s below 1 has no peak and counts as 0.
+    `shear_softening_drop` lets the strength decay to the residual 1 - d over the length L beyond an
+    onset (Oida 1979). With both the residual is the product of the two, and the peak is never
+    passed.
     """
     s = fx.shear_softening_sharpness
     drop = fx.shear_softening_drop
