@@ -148,11 +148,10 @@ def hanging(text: str) -> str:
 
     All lines have the indent of the first, and all but the first two spaces more.
     """
-    first = " " * (len(text) - len(text.lstrip()))
     return textwrap.fill(
         text,
         WIDTH,
-        subsequent_indent=first + "  ",
+        subsequent_indent=" " * (len(text) - len(text.lstrip()) + 2),
         break_long_words=False,
         break_on_hyphens=False,
     )

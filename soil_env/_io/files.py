@@ -93,8 +93,9 @@ def check_own(folder: Path, names: Iterable[str], inputs: Iterable[Path] = ()) -
 
 def _in_the_way(path: Path, said: str) -> FileExistsError:
     """Return the error for a file that stays, with the reason `said`."""
-    text = f"{said}: expected another --out, or the file moved away"
-    return FileExistsError(errno.EEXIST, text, str(path))
+    return FileExistsError(
+        errno.EEXIST, f"{said}: expected another --out, or the file moved away", str(path)
+    )
 
 
 def write_own(folder: Path, contents: Mapping[str, bytes | str]) -> None:

@@ -114,22 +114,23 @@ class Checked:
         """Check each field by itself, in their order, then `_check_together`."""
         own: typing.Any = type(self)
         for f in dataclasses.fields(own):
-            hint = _hints(own)[f.name]
+            name = f.name
+            hint = _hints(own)[name]
             origin = typing.get_origin(hint)
             items = typing.get_args(hint)
-            value = getattr(self, f.name)
+            value = getattr(self, name)
             if origin is typing.Literal and value not in items:
-                raise FieldError(self, f.name, str(unknown_value(value, items)))
+                raise FieldError(self, name, str(unknown_value(value, items)))
             parts = [k for k in (hint, *items) if isinstance(k, type) and issubclass(k, Checked)]
             is_part = origin in (None, typing.Union, types.UnionType)
             if is_part and parts and not isinstance(value, hint):
                 expected = f"a {parts[0].__name__}{' or None' if items else ''}"
-                raise FieldError(self, f.name, f" = {said(value)}: expected {expected}")
+                raise FieldError(self, name, f" = {said(value)}: expected {expected}")
             if "unit" in f.metadata and not (value is None and type(None) in items):
                 if origin is tuple and not isinstance(value, tuple):
-                    raise FieldError(self, f.name, f" = {said(value)}: expected a tuple")
+                    raise FieldError(self, name, f" = {said(value)}: expected a tuple")
                 _check_quantity(self, f, value)
-            object.__setattr__(self, f.name, _convert(hint, value, f"{own.__name__}.{f.name}"))
+            object.__setattr__(self, name, _convert(hint, value, f"{own.__name__}.{name}"))
         self._check_together()
 
     def _check_together(self) -> None:
@@ -248,12 +249,11 @@ def load(cls, mapping, where: str = ""):
         raise ParameterError(
             f"{where}: expected a mapping of {', '.join(names)}, got {said(mapping)}"
         )
-    hints = _hints(cls)
     for key in mapping:
         if key not in names:
             raise unknown_key(key, (*names, *getattr(cls, "more_keys", ())), where)
     values = {
-        key: _convert(hints[key], value, _below(where, key)) for key, value in mapping.items()
+        key: _convert(_hints(cls)[key], value, _below(where, key)) for key, value in mapping.items()
     }
     missing = [
         n
@@ -465,8 +465,10 @@ def _number_of(loader: _Strict, node: yaml.ScalarNode) -> int | float:
     text = node.value.replace("_", "").lstrip("+-")
     whole = node.tag.endswith(":int")
     if ":" in text or (whole and len(text) > 1 and text[0] == "0" and text.isdecimal()):
-        expected = "a decimal number without leading 0 and :, or quoted text"
-        raise _wrong(node, f"{node.value}: expected {expected}")
+        raise _wrong(
+            node,
+            f"{node.value}: expected a decimal number without leading 0 and :, or quoted text",
+        )
     found = loader.construct_yaml_int(node) if whole else loader.construct_yaml_float(node)
     if abs(found) > sys.float_info.max and "inf" not in text.lower():
         raise _wrong(node, f"{node.value:.40}: expected a number below {sys.float_info.max:.2g}")

@@ -59,8 +59,7 @@ def command(kind: str) -> None:
     print(f"{kind}: {where}\n")
     if kind in ("scenario", "rover"):
         print(f"{'base':{_WIDTH}}  name or file of which the other keys are changes")
-    without = NO_ROVER if kind == "rover" else ()
-    for line in keys_of(cls, without, OF_MAP if kind == "map" else {}):
+    for line in keys_of(cls, NO_ROVER if kind == "rover" else (), OF_MAP if kind == "map" else {}):
         print(line)
 
 
@@ -78,19 +77,20 @@ def keys_of(
     hints = typing.get_type_hints(cls)
     within: list[tuple[str, type]] = []
     for f in dataclasses.fields(cls):
-        if not f.init or above + f.name in without:
+        name = f.name
+        if not f.init or above + name in without:
             continue
-        hint = hints[f.name]
+        hint = hints[name]
         inner = _class_in(hint)
         kind = _range(f) or _kind(hint)
         if inner is Prior:
-            number = _range(_SOIL[f.name]) if f.name in _SOIL else "[deg]"
-            kind = number if f.name in NUMBERS else f"{number}, or {{value, sd}} of it"
+            number = _range(_SOIL[name]) if name in _SOIL else "[deg]"
+            kind = number if name in NUMBERS else f"{number}, or {{value, sd}} of it"
         elif inner is not None:
             named = typing.get_origin(hint) is dict
-            within.append((f"{above}{f.name}{'.NAME' if named else ''}.", inner))
-        words = [kind, said.get(above + f.name, _default(f)), f.metadata.get("doc", "")]
-        yield f"{above + f.name:{_WIDTH}}  {'; '.join(word for word in words if word)}"
+            within.append((f"{above}{name}{'.NAME' if named else ''}.", inner))
+        words = [kind, said.get(above + name, _default(f)), f.metadata.get("doc", "")]
+        yield f"{above + name:{_WIDTH}}  {'; '.join(word for word in words if word)}"
     for place, inner in within:
         first = (inspect.getdoc(inner) or "").split("\n\n")[0].replace("\n", " ")
         yield f"\n{place[:-1]}: {first}"

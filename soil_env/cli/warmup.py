@@ -37,9 +37,8 @@ def command() -> None:
     there are processors.
     """
     start = time.perf_counter()
-    workers = min(len(PARTS), processors())
     with ProcessPoolExecutor(
-        workers, multiprocessing.get_context("spawn"), end_with_parent
+        min(len(PARTS), processors()), multiprocessing.get_context("spawn"), end_with_parent
     ) as pool:
         done = {pool.submit(part): name for name, part in PARTS.items()}
         try:

@@ -18,6 +18,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -159,7 +160,7 @@ class Fit:
     form_errors: tuple[np.ndarray, ...]
     free: tuple[np.ndarray, ...]  # [M, R] of a smooth anonymous contribution to each channel
     converged: bool
-    sizes: Sizes = NOISE_ALONE  # under which the unknowns are most probable
+    sizes: Sizes  # under which the unknowns are most probable
 
     def parameters(self) -> dict[str, float]:
         """Values of the unknowns by name, in their own units."""
@@ -194,7 +195,7 @@ class Fit:
         have no column, since they do not move.
         """
         extra = self.columns(self.sizes)
-        free = np.concatenate([self.free_unknowns, np.ones(extra.shape[1], dtype=bool)])
+        free = np.concatenate([self.free_unknowns, np.ones(extra.shape[1], bool)])
         x = np.concatenate([self.u, np.zeros(extra.shape[1])])
         top = np.concatenate([self.jacobian, extra], axis=1) / self.sizes.scatter
         return np.concatenate([top, np.eye(x.size)])[:, free], np.concatenate(
@@ -269,9 +270,10 @@ class Problem:
         of travel if none does. Both are 0 if a row has no speed. The sinkage is the
         `middle_sinkage` of absolute values, since a wrong zero can make measured ones negative.
         """
-        rows = self.data.rows
-        r = self.data.wheel.radius
-        wheel = self.data.setup.wheel
+        data = self.data
+        rows = data.rows
+        r = data.wheel.radius
+        wheel = data.setup.wheel
         speed = rows.conditions[:, 0]
         middle = 0.0
         sliding = 0.0
@@ -283,8 +285,8 @@ class Problem:
         return Bench(
             radius=r,
             load=load,
-            pressure=load / (r * self.data.wheel.width),
-            sinkage=middle_sinkage(np.abs(self.data.y[:, 0]), r),
+            pressure=load / (r * data.wheel.width),
+            sinkage=middle_sinkage(np.abs(data.y[:, 0]), r),
             speed=middle,
             median_speed=np.median(speed),
             highest_speed=np.max(speed),
@@ -295,9 +297,14 @@ class Problem:
         )
 
     @property
+    def seen(self) -> np.ndarray:
+        """[3] True for the channels with a value in use."""
+        return np.any(self.used, axis=0)
+
+    @property
     def channels(self) -> tuple[str, ...]:
         """Names of the channels with a value in use, in the order of `CHANNELS`."""
-        return tuple(name for name, used in zip(CHANNELS, self.used.T, strict=True) if used.any())
+        return tuple(compress(CHANNELS, self.seen))
 
     def is_given(self, unknown: Unknown) -> bool:
         """True if the setup gives a prior of this soil parameter, of S also by `k_c` and `k_phi`.
@@ -313,8 +320,7 @@ class Problem:
         the prior mean, the gain of slip-sinkage the `dig_gain` of the setup. A prior or centre that
         the rig sets (`scales`, `centres`) goes first; its bounds never exceed the parameter's own.
         """
-        of_effects = (self._of_effect(c.effect, name) for c in choices for name in c.free)
-        return (*self.soil, *of_effects)
+        return (*self.soil, *(self._of_effect(c.effect, n) for c in choices for n in c.free))
 
     def _of_effect(self, effect: str, name: str) -> Unknown:
         """`Unknown` of the parameter `name`, "<effect>_<parameter>", of an effect, with the prior
@@ -385,8 +391,7 @@ class Problem:
         """[3] root mean square of `sd` over the values in use of each channel [m, N, N m]; `noise`
         where none is in use.
         """
-        relative = self._rms(self.data.relative_sd)
-        return self.noise * np.where(self.used.any(axis=0), relative, 1.0)
+        return self.noise * np.where(self.seen, self._rms(self.data.relative_sd), 1.0)
 
     def _rms(self, values: np.ndarray) -> np.ndarray:
         """[3] root mean square of values [N, 3] over those in use of a channel, 0 without any."""
@@ -585,9 +590,10 @@ class Law:
             moved = np.array([name in LAWS[choice.effect].moves for name in CHANNELS])
             units = [ANY_FORM * moved] if LAWS[choice.effect].any_form else np.eye(3)[moved]
             blocks += [in_channels(functions, factor * unit) for unit in units]
-        named = effect_names(self.choices)
         data = problem.data
-        rig = nuisances(data.setup, problem.bench, data.rows, finite(output), named)
+        rig = nuisances(
+            data.setup, problem.bench, data.rows, finite(output), effect_names(self.choices)
+        )
         return [rig, np.concatenate(blocks, axis=2), *laws]
 
     def fitted(self, start: np.ndarray, whiten: ArrayFunction) -> tuple[np.ndarray, bool]:

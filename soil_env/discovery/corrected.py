@@ -62,7 +62,8 @@ def model_of(problem: Problem, choices: Sequence[Choice], values: Values) -> Whe
     Errors of the rig and laws without a name are left out, since the world has none. The model
     knows the range of slip, load and other conditions of the table.
     """
-    setup = problem.data.setup
+    data = problem.data
+    setup = data.setup
     soil = soil_of(setup, {**problem.known, **values, "density": problem.density})
     effects: dict[str, dict[str, float]] = {}
     for choice in choices:
@@ -72,12 +73,12 @@ def model_of(problem: Problem, choices: Sequence[Choice], values: Values) -> Whe
     if setup.load == "vertical":
         grade = effects.get("grade", {})
         effects["grade"] = grade | {"share": 1.0 + grade.get("share", 0.0)}
-    wheel = problem.data.wheel
-    if problem.data.lugs_unknown and "grousers" not in effects:
+    wheel = data.wheel
+    if data.lugs_unknown and "grousers" not in effects:
         wheel = replace(wheel, grouser_height=0.0)  # a height was assumed only to try grousers
     soil = replace(soil, source="calibrated by soil_env.discovery")
     return WheelSoilModel(
-        wheel, soil, effects, gravity=setup.gravity, validity=ranges_of(problem.data.rows)
+        wheel, soil, effects, gravity=setup.gravity, validity=ranges_of(data.rows)
     )
 
 
@@ -120,9 +121,8 @@ def corrected(found: Prediction, named: Sequence[str] = ()) -> WheelSoilModel:
     coarse = 1.0
     while math.prod(x.size for x in _nodes(found, coarse).values()) > MOST:
         coarse *= COARSER
-    nodes = _nodes(found, coarse)
     without = [*(name for name in named if name in INSTRUMENT), "tilt_deg"]
-    return replace(model, remainder=_remainder(found, model, nodes, without))
+    return replace(model, remainder=_remainder(found, model, _nodes(found, coarse), without))
 
 
 def _remainder(
@@ -142,19 +142,19 @@ def _remainder(
     nodes, which are true slips. `without`: errors of the rig that the prediction leaves out.
     """
     grid = np.stack(np.meshgrid(*nodes.values(), indexing="ij"), axis=-1).reshape(-1, len(nodes))
-    at = _medians(found.problem, ("load", "speed", "pass"), len(grid))
+    count = len(grid)
+    at = _medians(found.problem, ("load", "speed", "pass"), count)
     at |= dict(zip(nodes, grid.T, strict=True))
     bias = {"offset": 0.0, "radius_error": 0.0} | model.effects.get("slip_bias", {})
     # Model and prediction take the slip as the rig measures it: from true to measured slips, as by
     # `slip_bias.measured_slip`.
-    scale = np.full(len(grid), 1.0 / (1.0 - bias["radius_error"]))
+    scale = np.full(count, 1.0 / (1.0 - bias["radius_error"]))
     at["slip"] = np.clip(slips_of_radius(at["slip"] - bias["offset"], scale), -1.0, 1.0)
-    with warnings.catch_warnings():
-        # The nodes go beyond the range of the model, which may have no law of grades.
-        warnings.simplefilter("ignore")
+    # The nodes go beyond the range of the model, which may have no law of grades.
+    with warnings.catch_warnings(action="ignore"):
         law = np.stack(model.predict(at)[:3], axis=1)
     radius = model.wheel.radius
-    size = np.stack([np.full(len(grid), radius), at["load"], at["load"] * radius], axis=1)
+    size = np.stack([np.full(count, radius), at["load"], at["load"] * radius], axis=1)
     mean, sd = found.at(at, without)
     left = np.clip(np.nan_to_num(mean - law) / size, -LARGEST, LARGEST)
     columns = np.concatenate([left, np.minimum(sd / size, MOST_SD)], axis=1)
@@ -195,9 +195,8 @@ def least_sure(found: Prediction) -> Guess | None:
     corners = np.array(list(product(*((x[0], x[-1]) for x in nodes.values()))))
     at = dict(zip(nodes, corners.T, strict=True))
     there = found.at(_medians(problem, ("load", "speed", "pass", "grade_deg"), len(corners)) | at)
-    used = problem.used.any(axis=0)
     known = found.at(problem.data.conditions).sd.max(axis=0)
-    times = np.mean((there.sd / known)[:, used], axis=1)
+    times = np.mean((there.sd / known)[:, problem.seen], axis=1)
     wheel = problem.data.wheel
     times[there.mean[:, 0] > DEEPEST * wheel.radius] = 0.0
     k = np.argmax(times)

@@ -153,16 +153,15 @@ def weigh(problem: Problem, fit: Fit, over: SizeGrid | None = None) -> Evidence:
     It is marginal over the sizes of the grid `over`, or of `grid` without it, and over the
     `noise_scales` of a noise that is estimated.
     """
-    own = grid(effect_names(fit.choices))
-    sizes, log_prior, errors, table, first = over or plain_grid(fit, *own)
-    scatter = np.array([s.scatter for s in sizes])
+    over = over or plain_grid(fit, *grid(effect_names(fit.choices)))
+    sizes, log_prior, errors, table, first = over
     p = fit.u.size
     scales = noise_scales(problem.freedom)
     normal = NormalEquations.of(fit.jacobian, errors, fit.residual)
     # Every size under the first scale of the noise, then every size under the next.
-    sd = np.outer(scales, scatter).ravel()  # [noise]
-    log = np.tile(log_prior, len(scales))
-    every = np.tile(table, (len(scales), 1))
+    sd = np.outer(scales, [s.scatter for s in sizes]).ravel()  # [noise]
+    log = np.tile(log_prior, scales.size)
+    every = np.tile(table, (scales.size, 1))
     mean = np.empty((sd.size, p))
     covariance = np.empty((sd.size, p, p))
     for over_noise in np.unique(sd):
@@ -173,13 +172,13 @@ def weigh(problem: Problem, fit: Fit, over: SizeGrid | None = None) -> Evidence:
     total = log_sum(log)
     # Evidence under a size of the law's error: its posterior over its prior probability.
     laws = np.array([s.law for s in sizes])
-    of_size = log_sum(log.reshape(len(scales), -1), axis=0) - total
+    of_size = log_sum(log.reshape(scales.size, -1), axis=0) - total
     by_law = {
         x: log_sum(of_size[laws == x]) - log_sum(log_prior[laws == x]) for x in np.unique(laws)
     }
     posterior = dict(zip(sizes, np.exp(of_size).tolist(), strict=True))
     best = max(posterior, key=lambda sizes: posterior[sizes])
-    log_all = total - math.log(len(scales))  # the scales are equally probable
+    log_all = total - math.log(scales.size)  # the scales are equally probable
     return Evidence(
         fit, log_all, best, posterior, *mixed(np.exp(log - total), mean, covariance), by_law
     )
@@ -245,21 +244,21 @@ class _Further:
     """
 
     def __init__(self, problem: Problem, first: Evidence, choices: list[Choice]) -> None:
-        self.fit = first.fit
+        fit = first.fit
+        self.fit = fit
         self.effect = first.sizes.effect
         self.unknowns = []
         columns = []
         self.owner = []
-        base = problem.whiten(first.fit.output)
-        guess = sinkage_guess(first.fit.output)
+        base = problem.whiten(fit.output)
+        guess = sinkage_guess(fit.output)
         for k, choice in enumerate(choices):
             own = [u for u in problem.unknowns((choice,)) if u.name in choice.free]
-            beside = (*first.fit.choices, choice)
+            beside = (*fit.choices, choice)
             for moved in (u for u in own if not u.log):
                 # Its other parameters are at their prior means.
                 trial = {u.name: u.value(0.0) for u in own} | {moved.name: moved.value(_LITTLE)}
-                values = first.fit.parameters() | trial
-                output = problem.predict(values, beside, guess.copy())
+                output = problem.predict(fit.parameters() | trial, beside, guess.copy())
                 columns.append((problem.whiten(output) - base) / _LITTLE)
                 self.unknowns.append(moved)
                 self.owner.append(k)
@@ -432,8 +431,9 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
             errors = in_channels(functions, change)
             out[f"{place} with {' and '.join(names)}"] = problem.whiten(errors)
     beds = problem.data.beds
-    if FEWEST_BEDS <= beds.max() + 1 <= min(MOST_BEDS, beds.size // ROWS_OF_BED):
-        of_bed = np.eye(beds.max() + 1)[beds]
+    count = beds.max() + 1
+    if FEWEST_BEDS <= count <= min(MOST_BEDS, beds.size // ROWS_OF_BED):
+        of_bed = np.eye(count)[beds]
         for place, change in zip(_STRESSES[:2], moved, strict=False):
             out[f"{place} with bed"] = problem.whiten(in_channels(of_bed, change))
     return out
@@ -452,9 +452,8 @@ def anonymous_grid(problem: Problem, plain: Evidence, fit: Fit, beside: Pattern 
     likely = [*dict.fromkeys((best, *others, *further))]
     prior = dict(zip(*grid(plain.names), strict=True))
     before = np.array([prior[s] for s in likely])
-    # Every combination of sizes of a smooth contribution to the channels in use, but for none.
+    # Sizes of a smooth contribution to each channel in use; below all their combinations but none.
     options = [(0.0, *FREE_SIZES) if used.any() else (0.0,) for used in problem.used.T]
-    free = [f for f in product(*options) if any(f)]
     by = patterns(problem, fit)
     first = () if beside is None else (beside,)
     # By kind: (fields of `Sizes`, log of their probability up to a constant). Each set of channels
@@ -462,7 +461,8 @@ def anonymous_grid(problem: Problem, plain: Evidence, fit: Fit, beside: Pattern 
     kinds: list[list[tuple[dict[str, Any], float]]] = [
         [
             ({"free": f, "patterns": first}, -math.log(len(FREE_SIZES)) * np.count_nonzero(f))
-            for f in free
+            for f in product(*options)
+            if any(f)
         ],
         [({"patterns": (*first, (n, x))}, 0.0) for n in by for x in PATTERN_SIZES],
         [({"scatter": x}, 0.0) for x in SCATTERS if beside is None],

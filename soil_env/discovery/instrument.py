@@ -65,17 +65,22 @@ def _entry(
 
     `priors` is given where the prior depends on the rig, such as on its load.
     """
-    form = Form("constant", (p.name,), equation, "calibration of the rig")
-    symbols = {
-        "DP_measured": "measured drawbar pull",
-        "T_measured": "measured torque",
-        "W_n": "force on the ground",
-        "r_true": "true radius",
-        "W_true": "true load",
-        "z": "sinkage",
-    }
     return Effect(
-        name, title, (p,), (form,), moves, symbols=symbols, priors=priors, explained=explained
+        name,
+        title,
+        (p,),
+        (Form("constant", (p.name,), equation, "calibration of the rig"),),
+        moves,
+        symbols={
+            "DP_measured": "measured drawbar pull",
+            "T_measured": "measured torque",
+            "W_n": "force on the ground",
+            "r_true": "true radius",
+            "W_true": "true load",
+            "z": "sinkage",
+        },
+        priors=priors,
+        explained=explained,
     )
 
 
@@ -258,20 +263,21 @@ def ruled_out(setup: Setup) -> dict[str, str]:
     prior of its own. Raises `ParameterError` for a name in `checked` that is unknown or there
     twice, and where all are there.
     """
-    for name in setup.checked:
+    checked = setup.checked
+    for name in checked:
         if name not in LISTED:
             raise unknown_value(name, LISTED, f"{setup.source}: checked")
-        if setup.checked.count(name) > 1:
+        if checked.count(name) > 1:
             raise ParameterError(
                 f"{setup.source}: checked: {name} is there twice: expected each name once"
             )
-    if len(setup.checked) == len(LISTED):
+    if len(checked) == len(LISTED):
         raise ParameterError(
             f"{setup.source}: checked: has all effects: expected those that a check has ruled out"
         )
     sure = [name for name, sd in stated_errors(setup.calibration).items() if sd == 0.0]
     known = dict.fromkeys(sure, "calibrated, by the setup")
-    known |= dict.fromkeys(setup.checked, "checked, by the setup")
+    known |= dict.fromkeys(checked, "checked, by the setup")
     return known | ({"tilt": "tilt_deg of the setup has it"} if setup.tilt_deg is not None else {})
 
 

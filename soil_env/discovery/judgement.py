@@ -175,8 +175,7 @@ def closed_interval(
     gap = total[0] > 0.0
     if np.mean(gap) < _LEAST_GAP:
         return None
-    share = 1.0 - total[1][gap] / total[0][gap]
-    low, high = np.quantile(share, (0.025, 0.975))
+    low, high = np.quantile(1.0 - total[1][gap] / total[0][gap], (0.025, 0.975))
     return float(low), float(high)
 
 

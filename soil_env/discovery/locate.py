@@ -69,13 +69,12 @@ def boxes(problem: Problem) -> tuple[tuple[Limits, ...], np.ndarray]:
         limits += [{one: p, two: q} for p in _half_lines(c.levels) for q in _half_lines(d.levels)]
     found: dict[bytes, Limits] = {}
     for box in limits:
-        inside = np.ones(rows, dtype=bool)
+        inside = np.ones(rows, bool)
         for name, (a, b) in box.items():
             inside &= (varied[name].level >= a) & (varied[name].level <= b)
         if inside.sum() >= LEAST_VALUES:
             found.setdefault(inside.tobytes(), box)
-    member = np.frombuffer(b"".join(found), dtype=bool)
-    return tuple(found.values()), member.reshape(len(found), rows)
+    return tuple(found.values()), np.frombuffer(b"".join(found), bool).reshape(len(found), rows)
 
 
 def _half_lines(levels: int) -> list[tuple[int, int]]:
@@ -103,12 +102,10 @@ def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...
         return ()
     raw = np.zeros((len(q), len(where)))  # v of the module's docstring, a column for each
     raw[: row.size] = inside[tuple(where.T)].T
-    total = np.sqrt(raw.sum(axis=0))
     v, left = _project(raw, q)
-    rng = np.random.default_rng(seed)
-    looks = _independent_looks(v, channel=where[:, 0], freedom=problem.freedom, rng=rng)
+    looks = _independent_looks(v, where[:, 0], problem.freedom, np.random.default_rng(seed))
     # A box must show in the residual without projection as well, with the same sign.
-    plain = (raw[: row.size].T @ fit.residual) / total
+    plain = (raw[: row.size].T @ fit.residual) / np.sqrt(raw.sum(axis=0))
     out: list[Disagreement] = []
     taken: list[tuple[int, np.ndarray]] = []  # (channel, values inside [N, bool])
     allowed = left & (np.abs(plain) > _SHOWS)
@@ -138,11 +135,10 @@ def structure(problem: Problem, model: Evidence, seed: int = 0) -> float:
     effects is larger than `EFFECT`, that is allowed. Unlike the evidence, the check needs no other
     model to compare with.
     """
-    effect = max(model.sizes.effect, EFFECT) if model.fit.choices else 0.0
+    fit = model.fit
+    effect = max(model.sizes.effect, EFFECT) if fit.choices else 0.0
     sizes = Sizes(LAW, effect, span=model.sizes.span, scatter=model.sizes.scatter, rig=1.0)
-    left = locate(
-        problem, problem.fit(model.fit.choices, model.fit.parameters(), sizes, model.fit), seed
-    )
+    left = locate(problem, problem.fit(fit.choices, fit.parameters(), sizes, fit), seed)
     return left[0].p_value if left else 1.0
 
 

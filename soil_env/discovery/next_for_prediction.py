@@ -74,13 +74,12 @@ def surer_runs(model: Prediction, evidence: Evidence, most: int) -> tuple[SurerR
     """
     problem = model.problem
     grid = conditions(problem, (evidence,))
-    sinkage = model.mean_at(grid.value)[:, 0]
-    able = np.flatnonzero(sinkage < DEEPEST * grid.value["wheel_radius"])
+    able = np.flatnonzero(model.mean_at(grid.value)[:, 0] < DEEPEST * grid.value["wheel_radius"])
     if not able.size:
         return ()
     able = np.sort(np.random.default_rng(0).permutation(able)[:LARGEST])
     grid = grid._replace(value={name: x[able] for name, x in grid.value.items()})
-    seen = problem.used.any(axis=0)
+    seen = problem.seen
     joint = model.joint_at(grid.value)[:, seen][:, :, :, seen]
     uncertain = Uncertainty(joint, model.variance_of_run[seen])
     before = uncertain.mean_sd()

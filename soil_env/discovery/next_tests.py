@@ -103,17 +103,11 @@ def open_checks(ruled_out: Collection[str] = ()) -> tuple[Check, ...]:
     for name, (begin, parts) in WORK.items():
         left = {error: part for error, part in parts.items() if error not in ruled_out}
         if left:
-            # two errors may need the same reading
-            out.append(Check(name, begin + _listed(dict.fromkeys(left.values())), tuple(left)))
+            work = dict.fromkeys(left.values())  # two errors may need the same reading
+            # Two without a comma have " and " between them, others semicolons.
+            short = len(work) < 3 and not any("," in part for part in work)
+            out.append(Check(name, begin + (" and " if short else "; ").join(work), tuple(left)))
     return tuple(out)
-
-
-def _listed(parts: Collection[str]) -> str:
-    """The parts as one text: two without a comma with " and " between them, others with
-    semicolons.
-    """
-    short = len(parts) < 3 and not any("," in part for part in parts)
-    return (" and " if short else "; ").join(parts)
 
 
 class PredictedRun(NamedTuple):
@@ -196,8 +190,9 @@ def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[Ne
     share = finding.by_effects
     found = {h.names: h.evidence for h in finding.hypotheses if not h.free}
     unseen = [n for n in LISTED if n in finding.untestable and _could_show(problem, n)]
-    for name in unseen if share[()] * ODDS >= WITHIN_REACH else ():
-        share[name,] = share[()] * ODDS
+    prior = share[()] * ODDS
+    for name in unseen if prior >= WITHIN_REACH else ():
+        share[name,] = prior
         found[name,] = settle(problem, (forms(problem, name)[0],))
     ranked = sorted(found, key=lambda s: -share[s])
     order = [s for s in ranked if share[s] >= WITHIN_REACH][:CANDIDATES] or ranked[:1]
@@ -274,13 +269,12 @@ def proposed(
         value={n: np.append(x, problem.data.conditions[n][worst]) for n, x in grid.value.items()}
     )
     there = problem_at(problem, grid.value)
-    seen = problem.used.any(axis=0)
+    seen = problem.seen
     mean, root, own, feasible = zip(*(predicted(problem, there, e) for e in evidence), strict=True)
     able = np.all(feasible, axis=0)
     able[last] = False  # only as the repeat
-    names = tuple(" and ".join(e.names) or BASE for e in evidence)
     candidates = Candidates(
-        names,
+        tuple(" and ".join(e.names) or BASE for e in evidence),
         _scaled(share),
         np.stack(mean)[:, :, seen],
         tuple(r[:, seen] for r in root),
@@ -301,13 +295,11 @@ def proposed(
         able[g] = False  # once each: a repeat says nothing of how far the laws err
         chosen.append(g)
         before += gain[g]
-        said = _described(problem, candidates, sd[:, g], g)
-        point = {name: float(grid.value[name][g]) for name in grid.asked}
         sure = float(sureness(candidates.share, overlap)[g])
         out.append(
             NextTest(
-                point,
-                *said,
+                {name: float(grid.value[name][g]) for name in grid.asked},
+                *_described(problem, candidates, sd[:, g], g),
                 sure=sure,
                 cost=float(cost[g]),
                 information=float(gain[g]),
@@ -328,11 +320,10 @@ def _described(
     candidate is the one that differs most from it, weighted with its probability. Differences are
     over the root mean square of the two standard deviations.
     """
-    seen = problem.used.any(axis=0)
     mean = np.full((len(of.names), 3), np.nan)
     sd = mean.copy()
-    mean[:, seen] = of.mean[:, g]
-    sd[:, seen] = own
+    mean[:, problem.seen] = of.mean[:, g]
+    sd[:, problem.seen] = own
     off = np.nan_to_num(np.abs(mean[:1] - mean) / np.sqrt(0.5 * (sd[:1] ** 2 + sd**2)))
     rival = np.argmax(of.share * off.max(axis=1))
     j = np.argmax(off[rival])
@@ -398,16 +389,15 @@ def costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
     """
     prices = {"run": 1.0} | problem.data.setup.rig.cost
     table = problem.data.conditions
-    last = {n: x[chosen[-1]] if chosen else table[n][-1] for n, x in grid.value.items()}
-    counted = {
-        n: np.abs(x - last[n]) > _SAME * max(1.0, abs(last[n])) for n, x in grid.value.items()
-    }
-    of_rim = travel_speeds(_rim_speed(table["speed"], table["slip"]), grid.value["slip"])
-    if np.allclose(grid.value["speed"], of_rim, rtol=_SAME_RIM):
+    value = grid.value
+    last = {n: x[chosen[-1]] if chosen else table[n][-1] for n, x in value.items()}
+    counted = {n: np.abs(x - last[n]) > _SAME * max(1.0, abs(last[n])) for n, x in value.items()}
+    of_rim = travel_speeds(_rim_speed(table["speed"], table["slip"]), value["slip"])
+    if np.allclose(value["speed"], of_rim, rtol=_SAME_RIM):
         counted["speed"][:] = False
-    counted["run"] = np.ones(grid.value["slip"].size)
+    counted["run"] = np.ones(value["slip"].size)
     counted["wheel"] = np.any([counted[n] for n in WHEEL], axis=0)
-    counted["pass"] = np.maximum(grid.value["pass"] - 1.0, 0.0)
+    counted["pass"] = np.maximum(value["pass"] - 1.0, 0.0)
     out: np.ndarray = np.sum([price * counted[name] for name, price in prices.items()], axis=0)
     return out
 
@@ -468,7 +458,8 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
     these. If it lists no speeds and the table has one rim speed, runs have that. Wheels are those
     of the rig, or of the table if it lists none.
     """
-    column = problem.data.conditions
+    data = problem.data
+    column = data.conditions
     grade = column["grade_deg"]
     choices = [choice for c in candidates for choice in c.fit.choices]
     needed = {LISTED[c.effect].varies for c in choices}
@@ -483,13 +474,12 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
     levels = _levels(problem)
     of_rig = _of_rig(problem)
     for name in usual.keys() - needed:
-        nearest = min(of_rig[name] or [usual[name]], key=lambda x: abs(x - usual[name]))
-        levels[name] = [nearest]
-    height = problem.data.wheel.grouser_height  # where the rig states none
+        levels[name] = [min(of_rig[name] or [usual[name]], key=lambda x: abs(x - usual[name]))]
+    height = data.wheel.grouser_height  # where the rig states none
     wheels = [
         (w.radius, w.width, height if w.grouser_height is None else w.grouser_height)
-        for w in problem.data.setup.rig.wheels
-    ] or np.unique(problem.data.rows.wheels, axis=0)
+        for w in data.setup.rig.wheels
+    ] or np.unique(data.rows.wheels, axis=0)
     points = np.array([(*p, *w) for p in product(*levels.values()) for w in wheels])
     if len(points) > _LARGEST:
         points = points[np.sort(np.random.default_rng(0).permutation(len(points))[:_LARGEST])]
@@ -500,8 +490,10 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
         known = np.isfinite(speeds) & (value["slip"] >= min(0.0, column["slip"].min()))
         value["speed"] = np.where(known, speeds, value["speed"])
     always = ("slip", "load", "speed") if problem.bench.speed > 0.0 else ("slip", "load")
-    asked = (n for n, x in value.items() if n in always or np.ptp([*x, *column[n]]) > 0.0)
-    return Grid(value, tuple(asked))
+    return Grid(
+        value,
+        tuple(n for n, x in value.items() if n in always or np.ptp([*x, *column[n]]) > 0.0),
+    )
 
 
 def _rim_speed(speed: np.ndarray, slip: np.ndarray) -> float:

@@ -89,8 +89,7 @@ def outlook(problem: Problem) -> Outlook:
         splits["condition"] = others
     found = []
     for split, what in splits.items():
-        levels = combinations_of([problem.data.varied[name].level for name in what])
-        groups = levels % MOST_GROUPS
+        groups = combinations_of([problem.data.varied[n].level for n in what]) % MOST_GROUPS
         if groups.max() + 1 >= FEWEST_GROUPS:
             found.append(_errors(problem, split, what, _left_out(problem, groups)))
     return Outlook(fit_prediction(problem), tuple(found))

@@ -132,7 +132,7 @@ def at_conditions(problem: Problem, conditions: Conditions) -> Problem:
     rows = rows_of(conditions, problem.data.wheel)
     shape = (rows.slip.size, 3)
     there.data = dataclasses.replace(problem.data, rows=rows, relative_sd=np.ones(shape))
-    there.used = np.ones(shape, dtype=bool)
+    there.used = np.ones(shape, bool)
     return there
 
 
@@ -263,8 +263,7 @@ class Prediction:
         alike = self.remainder.correlation(points, points, self.learnt)
         scale = self.learnt.size * _scales(there, law)
         own = np.einsum("nm,nc,mc,cd->ncmd", alike, scale, scale, np.eye(3))
-        found: np.ndarray = top.T @ top - known.T @ known + shared.T @ shared
-        return found.reshape(own.shape) + own
+        return (top.T @ top - known.T @ known + shared.T @ shared).reshape(own.shape) + own
 
     def _covariance_factors(
         self, there: Problem, law: np.ndarray, across: np.ndarray
@@ -276,8 +275,7 @@ class Prediction:
         of the unknowns, and A'A - B'B is what the table tells. `law` and `across` are those of
         `_means`.
         """
-        near = Law(there, self.law.choices, sinkage_guess(law), FLOW)
-        top = near.derivatives(self.u)
+        top = Law(there, self.law.choices, sinkage_guess(law), FLOW).derivatives(self.u)
         # The values are known through the unknowns and through the remainder: with J whitened,
         # (C + J J')^-1 = C^-1 - C^-1 J (I + J'J)^-1 J' C^-1.
         j = _whitened(self.covariance, self.jacobian)
@@ -299,24 +297,25 @@ class Prediction:
         the covariance of the latter. The law counts as 0 where it has no value. `without`: errors
         of the rig that are left out, as in `at`.
         """
+        problem = self.problem
         values = self.values
         if "tilt_deg" in without:
             values |= {"tilt_deg": 0.0}
         choices = tuple(c for c in self.law.choices if c.effect not in without)
         guess = np.zeros(there.data.rows.slip.size)  # none is known
         law = np.nan_to_num(there.predict(values, choices, guess))
-        rows, channel = np.nonzero(self.problem.used)
+        rows, channel = np.nonzero(problem.used)
         points = self.remainder.points(there)
         alike = self.remainder.correlation(points, self.remainder.table, self.learnt)[:, None, rows]
         # In units of the noise of each value, as `covariance`.
-        ours = _scales(self.problem, self.output) / self.problem.data.relative_sd
-        ours = ours[self.problem.used]
+        ours = _scales(problem, self.output) / problem.data.relative_sd
+        ours = ours[problem.used]
         theirs = self.learnt.size**2 * _scales(there, law)
         # size^2 times scales and correlation, 0 between channels
         across = theirs[:, :, None] * (np.arange(3)[:, None] == channel) * alike * ours
         across = _whitened(self.covariance, across.reshape(law.size, -1).T)
         remainder = across.T @ _whitened(self.covariance, self.residual)
-        return law + remainder.reshape(law.shape) * self.problem.noise, law, across
+        return law + remainder.reshape(law.shape) * problem.noise, law, across
 
 
 def fit_prediction(
@@ -382,8 +381,11 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
     e = fit.residual + fit.jacobian @ fit.u  # residual of the linearised law at unknowns of 0
     usual = USUAL.logarithms
     # [N, N] squares of the differences of a coordinate between rows of the table.
-    columns = dict(zip(remainder.names, remainder.table.T, strict=True))
-    square = {name: (x[:, None] - x) ** 2 for name, x in columns.items() if name in USUAL.lengths}
+    square = {
+        name: (x[:, None] - x) ** 2
+        for name, x in zip(remainder.names, remainder.table.T, strict=True)
+        if name in USUAL.lengths
+    }
 
     def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
         """(-ln of likelihood times prior, its derivatives [8]) at x [8], `Learnt.logarithms`:

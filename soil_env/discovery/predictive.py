@@ -45,8 +45,7 @@ def problem_at(problem: Problem, conditions: Conditions) -> Problem:
         """Process over the conditions `names`, at all distinct rows, old and new."""
         known = [n for n in both if n in names]
         unique = np.unique(np.stack([both[n] for n in known]), axis=1)
-        rows = dict(zip(known, unique, strict=True))
-        return Process.over(rows, most=_FUNCTIONS, lengths=lengths)
+        return Process.over(dict(zip(known, unique, strict=True)), most=_FUNCTIONS, lengths=lengths)
 
     there.law_processes = [over(INPUTS, lengths=x) for x in ALL_LAW_LENGTHS]
     there.effect_processes = {more: over((*INPUTS, *more)) for more in problem.effect_processes}
@@ -117,8 +116,7 @@ def predicted(
     out = finite(out)
     at = _conditions(there)
     added = law.added(u, out)
-    theirs = errors(law, u, out, added, at)
-    top = np.concatenate([law.derivatives(u), *theirs], axis=1)
+    top = np.concatenate([law.derivatives(u), *errors(law, u, out, added, at)], axis=1)
     mean = out / there.noise + (top[:, p:] @ off[p:]).reshape(-1, 3)
     # Rounding can leave a covariance of values that are nearly exact with eigenvalues below 0.
     variance, axes = np.linalg.eigh(covariance)

@@ -422,7 +422,8 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
     free: dict[Names, Evidence] = {(): anonymous(problem, base)}
     # Under scatter the evidence without it does not say which sets matter.
     rough = free[()].sizes.scatter > 1.0
-    for s in [s for s in order if len(s) == 1] if rough else order[:_FREE]:
+    single = [s for s in order if len(s) == 1]
+    for s in single if rough else order[:_FREE]:
         if s not in free:
             say(f"with something that no catalogue lists and {titles(s)}")
             free[s] = anonymous(problem, sets.best(s))
@@ -444,9 +445,7 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
         log_odds = prior(s) + len(s) * math.log(ALIKE)
         entries.append(Entry(alike, alike.log, log_odds, like=s, free=True))
     say("with a law that no catalogue lists")
-    entries += _unnamed(
-        problem, base, max((s for s in order if len(s) == 1), key=sets.log, default=())
-    )
+    entries += _unnamed(problem, base, max(single, key=sets.log, default=()))
     # A row for each entry; columns: over all sizes of the law's error, and under `LAW_ERRORS`.
     total = np.array(
         [
@@ -505,8 +504,7 @@ def log_prior(names: Names, of_rig: Mapping[str, float]) -> float:
 
     `of_rig`: factor on `RIG_ODDS` of each error of the instrument, by name (`odds_factors`).
     """
-    of = [RIG_ODDS * of_rig[name] if name in INSTRUMENT else ODDS for name in names]
-    return sum(map(math.log, of))
+    return sum(math.log(RIG_ODDS * of_rig[n] if n in INSTRUMENT else ODDS) for n in names)
 
 
 def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Say) -> None:

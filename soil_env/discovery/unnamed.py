@@ -170,9 +170,10 @@ def changed(out: np.ndarray, rows: Rows, values: Values, bench: Bench) -> np.nda
     `out` [N, 3]: the outcome on `loaded` rows.
     """
     out = out.copy()
-    size = bench.load * rows.wheels[:, 0]
+    load = bench.load
+    size = load * rows.wheels[:, 0]
     if "soft_wheel_gain" in values:
-        out[:, 2] /= _radius_factor(rows, values["soft_wheel_gain"], bench.load)
+        out[:, 2] /= _radius_factor(rows, values["soft_wheel_gain"], load)
     for name in ("force", "rut_force", "slip_force"):
         if f"{name}_pull" not in values:
             continue
@@ -182,10 +183,10 @@ def changed(out: np.ndarray, rows: Rows, values: Values, bench: Bench) -> np.nda
             share = (np.maximum(out[:, 0], 0.0) / bench.sinkage) ** values[f"{name}_power"]
         if name == "rut_force":
             share *= 1.0 - 1.0 / np.maximum(rows.conditions[:, 1], 1.0)
-        out[:, 1] -= values[f"{name}_pull"] * bench.load * share
+        out[:, 1] -= values[f"{name}_pull"] * load * share
         out[:, 2] += values[f"{name}_torque"] * size * share
     for name, j, scale in (
-        ("pull_curve", 1, PULL_SCALE * bench.load),
+        ("pull_curve", 1, PULL_SCALE * load),
         ("torque_curve", 2, TORQUE_SCALE * size),
     ):
         if f"{name}_loss" in values:

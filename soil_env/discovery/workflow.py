@@ -229,8 +229,7 @@ def _refuted_alone(problem: Problem, finding: Finding, seed: int) -> Names | Non
     if _far(problem, model.evidence):
         return behind
     weak = not names or model.probability <= finding.best(free=True).probability
-    patterned = weak and structure(problem, model.evidence, seed) < STRUCTURED
-    return behind if patterned else None
+    return behind if weak and structure(problem, model.evidence, seed) < STRUCTURED else None
 
 
 def _probable_forms(problem: Problem, own: Evidence) -> Iterator[Evidence]:
@@ -304,11 +303,16 @@ def _effects(
     for name in finding.names:
         choice = next(c for c in fit.choices if c.effect == name)
         fitted = parameters(problem, choice, fit.parameters())
-        within = {p: intervals.get(f"{name}_{p}", Interval(x, x, x)) for p, x in fitted.items()}
-        form = choice.published.name
-        probability = finding.share(name)
-        others = finding.alternatives(name)
-        out.append(EffectFound(name, form, within, probability, shares[name], others))
+        out.append(
+            EffectFound(
+                name,
+                choice.published.name,
+                {p: intervals.get(f"{name}_{p}", Interval(x, x, x)) for p, x in fitted.items()},
+                finding.share(name),
+                shares[name],
+                finding.alternatives(name),
+            )
+        )
     return tuple(out)
 
 

@@ -60,8 +60,7 @@ class Aligned:
 
     def get(self, name: str, other: float | np.ndarray = math.nan) -> np.ndarray:
         """Readings [N] of a channel; `other`, a number or [N], where it is not measured."""
-        values = self.readings.get(name, np.full(len(self), math.nan))
-        return with_default(values, other)
+        return with_default(self.readings.get(name, np.full(len(self), math.nan)), other)
 
     def motion(self, radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(Rim speed [m/s], travel speed [m/s], slip) [N] of a wheel of `radius` [m].

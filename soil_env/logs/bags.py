@@ -302,9 +302,9 @@ def _decoding(decoder: _Decoder, where: str, channel, schema) -> Callable[[bytes
         return partial(json.loads, object_hook=lambda d: SimpleNamespace(**d))
     kind = schema.encoding if schema else "none"
     if channel.message_encoding != "cdr" or kind not in ("ros2msg", ""):
-        encoding = f"{channel.message_encoding} with schema {kind}"
         raise ParameterError(
-            f"{where}: encoding {encoding}: expected cdr with schema ros2msg, or json"
+            f"{where}: encoding {channel.message_encoding} with schema {kind}: expected cdr with "
+            "schema ros2msg, or json"
         )
     if schema.data:
         decoder.define(schema.name, schema.data.decode("utf-8", "replace"))
@@ -360,8 +360,7 @@ def _guard(base: sqlite3.Connection, size: int) -> None:
     more; instructions at most `_MOST_WORK`. SQLite ends a query beyond that with an error of its
     own.
     """
-    longest = min(max(size, _LEAST_TEXT), _MOST_TEXT)
-    base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, longest)
+    base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(max(size, _LEAST_TEXT), _MOST_TEXT))
     # text that is no UTF-8 does not stop the query
     base.text_factory = lambda text: text.decode("utf-8", "replace")
     base.execute("PRAGMA query_only = ON")
@@ -392,9 +391,9 @@ def _check_size(file: Path, size: int) -> None:
     page, pages = struct.unpack(">16xH10xI", header) if len(header) == 32 else (0, 0)
     whole = (65536 if page == 1 else page) * pages
     if header.startswith(b"SQLite format 3") and size < whole:
-        recover = f"sqlite3 {file.name} .recover | sqlite3 whole.db3"
         raise ParameterError(
-            f"{file}: is cut off at byte {size} of {whole}: expected a whole file; try {recover}"
+            f"{file}: is cut off at byte {size} of {whole}: expected a whole file; try sqlite3 "
+            f"{file.name} .recover | sqlite3 whole.db3"
         )
 
 
@@ -421,8 +420,9 @@ def parse(field: str, where: str) -> list[str]:
     `where`, for any other text.
     """
     if not _PATH.fullmatch(field):
-        expected = "expected a path as twist.twist.linear.x or velocity[front_left]"
-        raise ParameterError(f"{where} = {field!r}: {expected}")
+        raise ParameterError(
+            f"{where} = {field!r}: expected a path as twist.twist.linear.x or velocity[front_left]"
+        )
     return re.findall(r"\[[^\[\]]+\]|\w+", field)
 
 
@@ -446,8 +446,9 @@ def number(message: Any, steps: list[str], quaternion: bool) -> float:
         try:
             parts = [float(getattr(value, name)) for name in "xyzw"]
         except (AttributeError, TypeError):
-            said = "expected an orientation with x, y, z and w for unit quaternion"
-            raise _wrong(message, said) from None
+            raise _wrong(
+                message, "expected an orientation with x, y, z and w for unit quaternion"
+            ) from None
         return uphill(*parts)
     if not isinstance(value, Real):
         hint = _near(message, steps)
@@ -487,8 +488,7 @@ def _item(message: Any, values: Any, step: str) -> Any:
             (list(getattr(message, key)) for key in _LISTS_OF_NAMES if hasattr(message, key)), None
         )
         if names is None:
-            said = "the message has no list of names: expected a number in brackets"
-            raise _wrong(message, said)
+            raise _wrong(message, "the message has no list of names: expected a number in brackets")
         if name not in names:
             known = ", ".join(map(str, names)) or "none"
             raise NotHere(f"no name {name!r}{nearest(name, names)} (names: {known})")

@@ -67,9 +67,8 @@ def time_doubts(interval: float, length: float, stamps: TimeColumn) -> list[str]
     ]
     likely = " or ".join(usual) or "another"
     return [
-        f"time (column {stamps.column}): rows are {interval:.3g} s apart, {length:.3g} s in "
-        f"all, expected {_USUAL[0]:g} to {_USUAL[1]:g} s apart. Perhaps unit {likely} in place of "
-        f"{now}."
+        f"time (column {stamps.column}): rows are {interval:.3g} s apart, {length:.3g} s in all, "
+        f"expected {_USUAL[0]:g} to {_USUAL[1]:g} s apart. Perhaps unit {likely} in place of {now}."
     ]
 
 

@@ -162,17 +162,18 @@ class LogMap(Checked):
         Wheel speeds have to be read, and speed or slip must be known. A window has at least
         `_LEAST_PERIODS` periods.
         """
-        for name, source in self.channels.items():
+        channels = self.channels
+        for name, source in channels.items():
             if name not in UNITS:
                 raise FieldError(self, "channels", str(unknown_key(name, UNITS, "")))
             self._check_source(name, source)
-        if "wheel_speed" not in self.channels or self.channels.keys().isdisjoint(("speed", "slip")):
+        if "wheel_speed" not in channels or channels.keys().isdisjoint(("speed", "slip")):
             raise FieldError(
                 self,
                 "channels",
                 ": expected wheel_speed, and speed or slip, or else no slip is known",
             )
-        if self.channels["wheel_speed"].constant is not None:
+        if channels["wheel_speed"].constant is not None:
             raise FieldError(
                 self,
                 "channels.wheel_speed",
@@ -193,20 +194,22 @@ class LogMap(Checked):
         go with `GEARED` only, an efficiency with torques only.
         """
         place = f"channels.{name}"
+        unit = s.unit
         kinds = bool(s.topic or s.field) + bool(s.column) + (s.constant is not None)
         if kinds != 1 or bool(s.topic) != bool(s.field):
             raise FieldError(self, place, ": expected topic and field, or column, or constant")
-        if s.unit is not None and s.unit not in UNITS[name]:
-            raise FieldError(self, f"{place}.unit", str(unknown_value(s.unit, UNITS[name])))
+        if unit is not None and unit not in UNITS[name]:
+            raise FieldError(self, f"{place}.unit", str(unknown_value(unit, UNITS[name])))
         if abs(s.sign) != 1.0:
             raise FieldError(self, f"{place}.sign", f" = {s.sign:g}: expected 1 or -1")
-        if (s.unit == "A") != (s.motor_constant is not None):
+        if (unit == "A") != (s.motor_constant is not None):
             raise FieldError(
                 self, place, ": expected motor_constant [N m/A] with a torque in A, and only there"
             )
-        if s.unit == "quaternion" and not s.topic:
-            expected = ": expected topic and field of an orientation for unit quaternion"
-            raise FieldError(self, place, expected)
+        if unit == "quaternion" and not s.topic:
+            raise FieldError(
+                self, place, ": expected topic and field of an orientation for unit quaternion"
+            )
         if s.gear != 1.0 and name not in GEARED:
             raise FieldError(self, f"{place}.gear", f": expected only with {', '.join(GEARED)}")
         if s.efficiency != 1.0 and "torque" not in name:
@@ -235,8 +238,11 @@ class LogMap(Checked):
                 unit = sizes.get(limits[name]["unit"], 1.0) / abs(factor(name, source))
                 sd[name] = source.sd / unit
                 if sd[name] > most:
-                    expected = f"expected at most {most * unit:g}, in its unit"
-                    raise FieldError(self, f"channels.{name}.sd", f" = {source.sd:g}: {expected}")
+                    raise FieldError(
+                        self,
+                        f"channels.{name}.sd",
+                        f" = {source.sd:g}: expected at most {most * unit:g}, in its unit",
+                    )
         return Noise(**sd)
 
 

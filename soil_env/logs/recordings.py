@@ -261,7 +261,7 @@ def _spread(times: np.ndarray, values: np.ndarray) -> np.ndarray:
     order = np.argsort(times, kind="stable")
     first = np.unique(times[order], return_index=True)[1]
     grouped = values[order]
-    found: np.ndarray = np.maximum.reduceat(grouped, first) - np.minimum.reduceat(grouped, first)
+    found = np.maximum.reduceat(grouped, first) - np.minimum.reduceat(grouped, first)
     return found[found > 0.0]
 
 

@@ -7,7 +7,7 @@ there are, so a border counts as one between grounds only where the estimates on
 
 import math
 from dataclasses import dataclass, fields
-from warnings import catch_warnings, simplefilter
+from warnings import catch_warnings
 
 import numpy as np
 from scipy.special import expit
@@ -169,8 +169,8 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
             restarts += 1
             margin = _NO_MARGIN
         reading = Readings(**{n: float(log.readings[n][k]) for n in names}, time=t)
-        with catch_warnings():
-            simplefilter("ignore", UserWarning)  # of a long step: `restart_gap` says what is long
+        # The warning is of a long step: `restart_gap` says what is long.
+        with catch_warnings(action="ignore", category=UserWarning):
             try:
                 e = identifier.update(reading)
             except ValueError:
@@ -188,7 +188,7 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
         on_border[k] = identifier.on_border
         borders[k] = borders_before + e.borders
         last = t
-    values = {name: table[:, i] for i, name in enumerate(COLUMNS)}
+    values = dict(zip(COLUMNS, table.T, strict=True))
     warnings = []
     if restarts:
         warnings.append(
@@ -313,9 +313,10 @@ def _last_known(
     for name in _COMPARED:
         value = values[name][k]
         middle = getattr(prior, name)
-        scale = getattr(prior, SD_OF[name])
-        away = math.log(value / middle) if "relative" in SD_OF[name] else value - middle
-        rows.append((away / scale, min(values[SD_OF[name]][k] / scale, 1.0) ** 2))
+        sd = SD_OF[name]
+        scale = getattr(prior, sd)
+        away = math.log(value / middle) if "relative" in sd else value - middle
+        rows.append((away / scale, min(values[sd][k] / scale, 1.0) ** 2))
     return np.transpose(rows)
 
 
@@ -381,8 +382,7 @@ def findings(found: Replay, log: Aligned, log_map: LogMap) -> list[str]:
             "The motor torque is left out because the map lacks wheel.inertia [kg m2], which "
             "has to include rotor and gearbox."
         )
-    forces = measured & {"drawbar_pull", "acceleration", "torque", "motor_torque"}
-    if not forces:
+    if not measured & {"drawbar_pull", "acceleration", "torque", "motor_torque"}:
         lines.append(_NO_FORCE if "sinkage" in measured else _NOTHING)
     missing = [words for words, of in _SENSORS.items() if not measured & of]
     if missing and len(missing) < len(_SENSORS):
@@ -404,9 +404,11 @@ def findings(found: Replay, log: Aligned, log_map: LogMap) -> list[str]:
         lines.append(
             f"{words} {result}. Its least standard deviation is {shares[name]:.2f} of the prior's."
         )
-    current_share = 100.0 * np.mean(found.status == Status.CONVERGED)
-    lines.append(f"The estimate was current in {current_share:.0f} % of the steps.")
-    return lines
+    return [
+        *lines,
+        f"The estimate was current in {100.0 * np.mean(found.status == Status.CONVERGED):.0f} % of "
+        "the steps.",
+    ]
 
 
 def contradiction(found: Replay) -> tuple[list[str], list[str]]:

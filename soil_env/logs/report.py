@@ -53,7 +53,6 @@ def report_of(
     """
     parts = grounds(found, steady)  # parted by borders to another soil and by gaps
     # A misfit: a doubt if it lasts for most of the drive, else a further finding.
-    length = log.time[-1] - log.time[0]
     doubted, further = contradiction(found)
     # What the texts and log.json share.
     values: dict[str, Any] = {
@@ -85,7 +84,7 @@ def report_of(
     }
     values |= {  # sentences and tables for the texts
         "summary": (
-            f"From {_date(log.start)}, {length:.1f} s, "
+            f"From {_date(log.start)}, {log.time[-1] - log.time[0]:.1f} s, "
             f"{plural(len(log), 'step')} of {log.period:g} s."
         ),
         "channels": _channel_table(log),
@@ -250,9 +249,10 @@ def _estimates_picture(found: Replay, period: float) -> bytes:
         axis.plot(t, np.where(valid, value, math.nan), color="C0", lw=1.2)
         axis.plot(t, np.where(valid, math.nan, value), color="0.5", lw=1.0)
         axis.set_ylabel(label)
-    axes[-1].plot(t, found.values["drawbar_margin"][k], color="C2", lw=1.0)
-    axes[-1].axhline(0.0, color="0.3", lw=0.8)
-    axes[-1].set_ylabel("drawbar margin\n[of load]")
+    last = axes[-1]
+    last.plot(t, found.values["drawbar_margin"][k], color="C2", lw=1.0)
+    last.axhline(0.0, color="0.3", lw=0.8)
+    last.set_ylabel("drawbar margin\n[of load]")
     return picture_of(figure, dpi=110)
 
 

@@ -74,9 +74,8 @@ class Stamps:
             k = np.flatnonzero(kept)[late[0]]
             notes.add(
                 f"{self.source}: put {late.size} of {times.size} {self.thing}s, late by at most "
-                f"{slack * 1e-9:g} s (max_gap), where their time says. The first is "
-                f"{self.thing} {self.numbers[k]} ({times[k] * 1e-9:.3f} s after "
-                f"{latest[late[0]] * 1e-9:.3f} s)."
+                f"{slack * 1e-9:g} s (max_gap), where their time says. The first is {self.thing} "
+                f"{self.numbers[k]} ({times[k] * 1e-9:.3f} s after {latest[late[0]] * 1e-9:.3f} s)."
             )
         same = np.flatnonzero(np.diff(rising) == 0)
         if same.size:

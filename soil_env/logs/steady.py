@@ -112,11 +112,10 @@ def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = No
     first = 0
     while first + n <= len(log):
         window = slice(first, first + n)
-        last = first + n - 1
         part = {name: values[window] for name, values in columns.items()}
         one_drive = (
             runs[first] >= 0
-            and runs[first] == runs[last]
+            and runs[first] == runs[first + n - 1]
             and far_from_borders[window].all()  # so on one ground
         )
         if not (one_drive and is_steady(part, log.period, log_map)):
@@ -183,18 +182,16 @@ def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bo
     """
     radius = log_map.wheel.radius
     weight = log_map.weight
-    n = part["slip"].size
-    if np.isnan([part["slip"], part["speed"]]).any() or np.mean(part["speed"]) < 0.0:
+    travel = part["speed"]
+    if np.isnan([part["slip"], travel]).any() or np.mean(travel) < 0.0:
         return False
     # [m/s] means of |r w|, |V| and the sliding |r w - V|.
-    rim, speed, slid = (
-        np.mean(np.abs(v)) for v in (part["rim"], part["speed"], part["rim"] - part["speed"])
-    )
+    rim, speed, slid = (np.mean(np.abs(v)) for v in (part["rim"], travel, part["rim"] - travel))
     rate, _ = excavation_rate(
         speed, slid, 0.0, log_map.belief.dig_recovery, log_map.relaxation * radius
     )
     # Share of the way left that the sinkage comes in the time between the two means.
-    come = -math.expm1(-rate * (n / 2) * period)
+    come = -math.expm1(-rate * (part["slip"].size / 2) * period)
     limits = {  # of the change of the means from the first to the second half
         "slip": _SLIP_CHANGE,
         "speed": _SPEED_CHANGE * rim,
@@ -264,9 +261,17 @@ def grounds(found: Replay, steady: Steady) -> list[Ground]:
     out = []
     for number in np.unique(found.ground).tolist():
         time = found.time[found.ground == number].tolist()
-        differs = found.differs[number - 1]
         points = Steady([row for row in steady.rows if row["ground"] == number], steady.noise)
-        out.append(Ground(number, time[0], time[-1], differs, points, found.surest_on(number)))
+        out.append(
+            Ground(
+                number,
+                time[0],
+                time[-1],
+                found.differs[number - 1],
+                points,
+                found.surest_on(number),
+            )
+        )
     return out
 
 

@@ -181,10 +181,11 @@ def _csv(stamps: str, columns: dict[str, str], notes: Notes, faults: Faults) -> 
             for cells in lines:
                 short = len(cells) < len(header)
                 if len(cells) != len(header):
-                    expected = f"expected {len(header)} as in the header"
                     faults.count += 1
                     faults.add(
-                        f"row {reader.line_num}", f"has {plural(len(cells), 'cell')}, {expected}"
+                        f"row {reader.line_num}",
+                        f"has {plural(len(cells), 'cell')}, expected {len(header)} as in the "
+                        "header",
                     )
                     continue
                 count += 1

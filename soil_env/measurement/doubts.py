@@ -30,17 +30,17 @@ def load_doubt(table: Table, setup: Setup) -> str:
     """
     radius = table.radius(setup.wheel)
     driven = table.rim_slip(setup) > DRIVEN
-    sinkage = with_default(table.sinkage, USUAL_SINKAGE * radius)
-    depth = np.clip(sinkage, 0.0, radius)
+    depth = np.clip(with_default(table.sinkage, USUAL_SINKAGE * radius), 0.0, radius)
     # Arc of contact up to the lowest point, times the width [m2].
     area = table.width(setup.wheel) * radius * np.arccos(1.0 - depth / radius)
     prior = setup.soil.cohesion
     cohesion = 0.0 if prior is None else max(prior.value - COHESION_SDS * prior.sd, 0.0)
+    load = table.load
     # [-] force over load that the soil may give in each row.
-    most = np.maximum(MOST_GRIP, cohesion * area / table.load + FRICTION)
+    most = np.maximum(MOST_GRIP, cohesion * area / load + FRICTION)
     forces = {"torque/radius": table.torque / radius, "drawbar_pull": table.drawbar_pull}
     for name, force in forces.items():
-        ratio = force / table.load
+        ratio = force / load
         known = np.isfinite(force)
         if np.any(driven & known):
             median = np.median(ratio[driven & known])
@@ -54,8 +54,8 @@ def load_doubt(table: Table, setup: Setup) -> str:
         rest = known & ~excessive
         if excessive.sum() < FEWEST or not rest.any():
             continue
-        light = np.max(table.load[excessive])
-        if light < LIGHTER * np.median(table.load[rest]):
+        light = np.max(load[excessive])
+        if light < LIGHTER * np.median(load[rest]):
             return (
                 f"{name} is {np.median(ratio[excessive]):.2g} times the load in {excessive.sum()} "
                 f"rows with loads up to {light:.3g} N, more than soil gives, and not in the "

@@ -267,8 +267,10 @@ class Setup(Checked):
         of sinkage or slip that only another unit explains.
         """
         if self.tilt_deg is not None and not abs(self.tilt_deg.value) <= STEEPEST_TILT:
-            expected = f"degrees in [-{STEEPEST_TILT:g}, {STEEPEST_TILT:g}]"
-            raise ParameterError(f"tilt_deg = {self.tilt_deg.value:g}: expected {expected}")
+            raise ParameterError(
+                f"tilt_deg = {self.tilt_deg.value:g}: expected degrees in [-{STEEPEST_TILT:g}, "
+                f"{STEEPEST_TILT:g}]"
+            )
         for name in REQUIRED:
             if name in self.ignore_columns:
                 raise ParameterError(
@@ -297,15 +299,12 @@ class Setup(Checked):
 
     def doubts(self) -> list[str]:
         """Values of the soil that are admissible but look like another unit, one sentence each."""
-        words = []
-        for name, limit, unit, other, factor in _OTHER_UNITS:
-            prior = getattr(self.soil, name)
-            if prior is not None and 0.0 < prior.value < limit:
-                words.append(
-                    f"soil.{name} = {prior.value:g} {unit} looks like {other}; if it is, multiply "
-                    f"it (and its sd) by {factor:g}."
-                )
-        return words
+        return [
+            f"soil.{name} = {prior.value:g} {unit} looks like {other}; if it is, multiply it (and "
+            f"its sd) by {factor:g}."
+            for name, limit, unit, other, factor in _OTHER_UNITS
+            if (prior := getattr(self.soil, name)) is not None and 0.0 < prior.value < limit
+        ]
 
 
 def read_setup(path: str | Path) -> Setup:

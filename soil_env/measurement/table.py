@@ -169,9 +169,8 @@ class Table:
         """1-sigma of each value over the `channel_sd` of its channel [N, 3], as `MEASURED`; 1 where
         a row gives none.
         """
-        own = np.stack([getattr(self, name) for name in NOISE], axis=1)
         level = np.array([self.channel_sd(setup, name) or 1.0 for name in MEASURED])
-        return with_default(own / level, 1.0)
+        return with_default(np.stack([getattr(self, name) for name in NOISE], axis=1) / level, 1.0)
 
     def rim_slip(self, setup: Setup) -> np.ndarray:
         """Slip [N] by the radius of the rim; converted where the setup says that the column is by
@@ -234,9 +233,7 @@ def read_table(
     return table
 
 
-def _csv_cells(
-    path: Path, ignore: Sequence[str] = ()
-) -> tuple[list[str], list[tuple[int, list[str]]]]:
+def _csv_cells(path: Path, ignore: Sequence[str]) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Header and (line of the file from 1, cells) of the rows that are not blank, every cell
     stripped. Commas in the columns `ignore` stay as they are.
 
@@ -422,20 +419,27 @@ def _check_rows(
     for name in REQUIRED:
         refuse(name, np.isnan(getattr(table, name)), "a number in every row")
     slip = np.abs(table.slip)
+    most = np.max(slip)
     hint = ""  # what the column may be instead; for an impossible slip only
-    if np.max(table.slip) <= 1.0 and np.max(slip) <= MOST_SLIP_OVER_TRAVEL:
+    if np.max(table.slip) <= 1.0 and most <= MOST_SLIP_OVER_TRAVEL:
         hint = " (if it is (r w - V)/(r w) where the wheel is braked, divide it by 1 less itself)"
-    elif np.max(slip) <= MOST_SLIP_OVER_TRAVEL:
+    elif most <= MOST_SLIP_OVER_TRAVEL:
         hint = " (if it is (r w - V)/V where the wheel drives, divide it by 1 + itself)"
-    elif np.max(slip) <= MOST_PERCENT:
+    elif most <= MOST_PERCENT:
         hint = " (if it is percent, divide by 100)"
     refuse("slip", slip > 1.0, f"slip in [-1, 1]{hint}")
-    expected = f"a load > 0 N, upward on the wheel, at least {LIGHTEST:g}"
-    refuse("load", table.load < LIGHTEST, expected)
+    refuse(
+        "load",
+        table.load < LIGHTEST,
+        f"a load > 0 N, upward on the wheel, at least {LIGHTEST:g}",
+    )
     refuse("load", table.load > STRONGEST, f"newtons, at most {STRONGEST:g}")
     refuse("speed", table.speed < 0.0, "a travel speed >= 0 m/s")
-    expected = f"metres per second, at most {FASTEST:g} (if it is mm/s, divide by 1000)"
-    refuse("speed", table.speed > FASTEST, expected)
+    refuse(
+        "speed",
+        table.speed > FASTEST,
+        f"metres per second, at most {FASTEST:g} (if it is mm/s, divide by 1000)",
+    )
     wrong = (passes % 1.0 > 0.0) | (passes < 1) | (passes > MOST_PASSES)
     refuse("pass", wrong, f"a whole number from 1 (fresh soil) to {MOST_PASSES:g}")
     grade = np.abs(table.grade_deg)
@@ -449,17 +453,23 @@ def _check_rows(
         refuse(name, (size <= 0.0) | (size > LARGEST_WHEEL), f"metres in (0, {LARGEST_WHEEL:g}]")
     for name in NOISE:
         sd = getattr(table, name)
-        limits = f"[{EXACTEST:g}, {COARSEST:g}] {UNITS[name]}"
-        expected = f"a standard deviation in {limits}, or an empty cell"
-        refuse(name, (sd < EXACTEST) | (sd > COARSEST), expected)
+        refuse(
+            name,
+            (sd < EXACTEST) | (sd > COARSEST),
+            f"a standard deviation in [{EXACTEST:g}, {COARSEST:g}] {UNITS[name]}, or an empty cell",
+        )
     limits = f"[-{STRONGEST:g}, {STRONGEST:g}]"
     refuse("drawbar_pull", np.abs(table.drawbar_pull) > STRONGEST, f"newtons in {limits}")
     refuse("torque", np.abs(table.torque) > STRONGEST, f"newton metres in {limits}")
     radius = table.wheel_radius
     height = table.grouser_height
     refuse("grouser_height", (height < 0.0) | (height > TALLEST), f"metres in [0, {TALLEST:g}]")
-    expected = "metres (this can only be millimetres, divide by 1000, or centimetres)"
-    refuse("sinkage", np.abs(table.sinkage) > DEEPEST, expected)
+    sinkage = np.abs(table.sinkage)
+    refuse(
+        "sinkage",
+        sinkage > DEEPEST,
+        "metres (this can only be millimetres, divide by 1000, or centimetres)",
+    )
     if wheel is not None:
         radius = table.radius(wheel)
         height = table.height(wheel)
@@ -468,18 +478,19 @@ def _check_rows(
     coarse = table.sinkage_sd > MOST_SINKAGE_NOISE * radius
     # A single one may be meant, so that the row hardly counts.
     if 2 * coarse.sum() > np.isfinite(table.sinkage_sd).sum():
-        expected = "metres, well below the wheel radius (if it is millimetres, divide by 1000)"
-        refuse("sinkage_sd", coarse, expected)
-    deep = np.abs(table.sinkage) > radius
+        refuse(
+            "sinkage_sd",
+            coarse,
+            "metres, well below the wheel radius (if it is millimetres, divide by 1000)",
+        )
+    deep = sinkage > radius
     if np.any(deep):
         hint = "if it is millimetres, divide by 1000"
-        others = np.abs(table.sinkage[~deep & np.isfinite(table.sinkage)])
+        others = sinkage[~deep & np.isfinite(sinkage)]
         # Where most sinkages are possible, a single row is wrong, not the unit of the column.
         if others.size > np.sum(deep) and np.median(others) > 0.0:
-            times = abs(table.sinkage[deep][0]) / np.median(others)
-            hint = f"it is {times:.2g} times the others"
-        expected = f"metres, at most the wheel radius {radius[deep][0]:g} m ({hint})"
-        refuse("sinkage", deep, expected)
+            hint = f"it is {sinkage[deep][0] / np.median(others):.2g} times the others"
+        refuse("sinkage", deep, f"metres, at most the wheel radius {radius[deep][0]:g} m ({hint})")
     _check_whole(table)
 
 
@@ -489,9 +500,9 @@ def _check_whole(table: Table) -> None:
     """
     nothing = np.all(np.isnan(table.values), axis=1)
     if np.any(nothing):
-        line = table.row[nothing][0]
         raise ParameterError(
-            f"{table.source}: row {line}: nothing measured: expected one of {', '.join(MEASURED)}"
+            f"{table.source}: row {table.row[nothing][0]}: nothing measured: expected one of "
+            f"{', '.join(MEASURED)}"
         )
     if np.all(table.slip == table.slip[0]):
         said = "one row" if len(table) == 1 else f"slip = {table.slip[0]:g} in every row"
@@ -506,9 +517,9 @@ def _check_repeats(path: Path, rows: Rows) -> None:
     for line, cells in rows:
         key = tuple(str(_canonical(c)) for c in cells)  # as text nan equals nan
         if key in seen:
-            expected = "each point once (a true repeat differs in run or time)"
             raise ParameterError(
-                f"{path}: row {line} repeats row {seen[key]} in every column: expected {expected}"
+                f"{path}: row {line} repeats row {seen[key]} in every column: expected each point "
+                "once (a true repeat differs in run or time)"
             )
         seen[key] = line
 

@@ -333,8 +333,7 @@ def table_5(e: Equations, seed: int, draws: int) -> Noisy:
 
     `ParameterError` where every search is lost.
     """
-    rng = np.random.default_rng([seed, 5])
-    factors = 1.0 + NOISE * rng.standard_normal((draws, 3, 3))
+    factors = 1.0 + NOISE * np.random.default_rng([seed, 5]).standard_normal((draws, 3, 3))
     noisy = Points(*np.swapaxes(np.array(MEASURED) * factors, 0, 1))
     found = newton_raphson(noisy, np.tile(ACTUAL_SET, (draws, 1)), e)
     found[:, 0] = _turned(found[:, 0], ACTUAL_SET[0])
@@ -342,10 +341,9 @@ def table_5(e: Equations, seed: int, draws: int) -> Noisy:
     good = np.isfinite(errors).all(axis=1)
     if not good.any():
         raise ParameterError(f"draws = {draws}: all searches of Table 5 are lost: expected more")
-    limit = [P.table5[name][1] for name in NAMES]
     return Noisy(
         np.percentile(errors[good], [5, 50, 95], axis=0),
-        (errors[good] < limit).mean(axis=0),
+        (errors[good] < [P.table5[name][1] for name in NAMES]).mean(axis=0),
         good.mean(),
     )
 
@@ -354,10 +352,11 @@ def sets(k: int) -> dict[str, tuple[np.ndarray, Equations]]:
     """{name: ((phi [deg], K [m], S), equations)} of the parameter sets of Figs. 6 to 8, by the
     reading `MODELS`[k].
     """
+    e = FIXED_COHESION[k]
     return {
         "Table 2": (ACTUAL_SET, MODELS[k]),
-        "Table 3, printed": (PRINTED_SET, FIXED_COHESION[k]),
-        "Table 3, ours": (root(FIXED_COHESION[k]), FIXED_COHESION[k]),
+        "Table 3, printed": (PRINTED_SET, e),
+        "Table 3, ours": (root(e), e),
     }
 
 

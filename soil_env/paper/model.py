@@ -112,17 +112,18 @@ def forces(soil: ArrayLike, slip: ArrayLike, sinkage: ArrayLike, e: Equations) -
     rear = (e.peak + e.peak_by_slip * slip) * theta1  # length of the zone, theta2 = 0
     ahead = theta1 - (theta1 - rear) * place
     theta = np.concatenate([ahead, rear * place], axis=1)
+    cos = np.cos(theta)
+    sin = np.sin(theta)
     # Area of the rim that each node stands for [m2].
     w = r * b * np.concatenate([(theta1 - rear) * weight, rear * weight], axis=1)
     # Normal stress over S, Eqs. (7) and (8), and shear displacement [m].
     p = np.tile(np.maximum(r * (np.cos(ahead) - np.cos(theta1)), 0.0) ** n, (1, 2))
-    j = r * (theta1 - theta - travel_speeds(1.0, slip) * (np.sin(theta1) - np.sin(theta)))
+    j = r * (theta1 - theta - travel_speeds(1.0, slip) * (np.sin(theta1) - sin))
     # Shares of the shear strength that are not mobilised and mobilised, Eq. (10).
     left = np.exp(-np.abs(j) / K)
     share = np.copysign(1.0 - left, j)
     strength = c + S * p * tan_phi
-    cos = np.cos(theta)
-    resistance = (w * p * np.sin(theta)).sum(axis=1)  # Eq. (11), for S = 1
+    resistance = (w * p * sin).sum(axis=1)  # Eq. (11), for S = 1
     if e.compaction:
         resistance = b * z[:, 0] ** (n + 1.0) / (n + 1.0)  # Eq. (12)
     shear = strength * share
@@ -130,7 +131,7 @@ def forces(soil: ArrayLike, slip: ArrayLike, sinkage: ArrayLike, e: Equations) -
     by_phi = S * p * (1.0 + tan_phi * tan_phi) * share
     columns = (  # what is integrated, in the order of the result
         shear * cos,
-        S * p * cos + shear * np.sin(theta),
+        S * p * cos + shear * sin,
         r * shear,
         by_phi * cos,
         -strength * j * left / (K * K) * cos,
@@ -168,7 +169,7 @@ def newton_raphson(
     it leads to positive parameters, phi < 90 deg, that fit better; a search that finds none is
     lost.
     """
-    x = np.array(np.atleast_2d(guess), dtype=float)
+    x = np.array(np.atleast_2d(guess), float)
     slip, sinkage, pull = (np.broadcast_to(v, x.shape) for v in points)
     out = np.full(x.shape, np.nan)
     going = np.arange(len(x))  # searches under way

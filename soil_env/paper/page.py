@@ -86,10 +86,11 @@ def _comparison(rows: Sequence[Row]) -> Table:
     header = ["", "printed", *(text for name in READINGS for text in (name, "difference"))]
     lines = []
     for row in rows:
-        line = [row.name, format(row.printed, row.form)]
+        form = row.form
+        line = [row.name, format(row.printed, form)]
         for value in row.ours:
-            difference = as_shown(value, row.form) - row.printed
-            line += [format(value, row.form), format(difference, "+" + row.form)]
+            difference = as_shown(value, form) - row.printed
+            line += [format(value, form), format(difference, "+" + form)]
         lines.append(line)
     return Table(header, lines)
 
@@ -200,8 +201,7 @@ def _along(figure: Figure, label: str, name: str, position: int = 111) -> Axes:
     margin = 0.3 * np.ptp(values)
     wide = np.linspace(values.min() - margin, values.max() + margin, 60)
     for e, style, reading in zip(MODELS, ("C0--", "C1-"), READINGS, strict=True):
-        pull = [compare.pull(e, **{name: v}) for v in wide]
-        axes.plot(wide, pull, style, label=reading)
+        axes.plot(wide, [compare.pull(e, **{name: v}) for v in wide], style, label=reading)
     for mark, (where, value, row) in zip("v^>s", points, strict=False):
         axes.plot([value], [row.printed], f"k{mark}", label=f"printed, {where}")
     return axes

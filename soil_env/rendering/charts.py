@@ -91,11 +91,12 @@ def _draw_axes(c: Canvas, chart: _Chart, name: str) -> None:
     """Draw an empty chart with its name, grid and numbers; only the last one has those of time."""
     left, top, width, height = chart.box
     limits = chart.limits
-    span = np.array([chart.end - SPAN, chart.end])
+    end = chart.end
+    span = np.array([end - SPAN, end])
     is_last = chart.box == CHARTS[-1]
     c.box(chart.box, WHITE)
     c.text(left, top - 11, name, 16)
-    for t in ticks(chart.end - SPAN, chart.end, 6):
+    for t in ticks(end - SPAN, end, 6):
         line = chart.at(np.array([t, t]), limits)
         c.lines(line, GRID, 1)
         if is_last:

@@ -134,9 +134,10 @@ def draw_scale_bar(c: Canvas, scene: Scene) -> None:
     """Draw a bar of a round length, about a quarter of the scene's width, into its upper right
     corner.
     """
-    bar = ticks(0.0, 0.25 * scene.box[2] / scene.scale, 2)[-1]
-    right = scene.box[0] + scene.box[2] - 14
-    y = scene.box[1] + 22
+    edge, top, width, _ = scene.box
+    bar = ticks(0.0, 0.25 * width / scene.scale, 2)[-1]
+    right = edge + width - 14
+    y = top + 22
     left = right - bar * scene.scale
     c.lines([(left, y), (right, y)], INK, 2)
     for x in (left, right):

@@ -97,8 +97,7 @@ def sample_of(simulation: Any, w: State) -> tuple[float, ...]:
     scenario = simulation.scenario
     soil = w["soil"]
     known = (math.nan,) * 6 if w["status"] is None else (*w["estimate"][:3], *w["sd"][:3])
-    exponent = scenario.belief.sinkage_exponent
-    same = sinkage_coefficient_at(soil, exponent, w["bearing_sinkage"])
+    same = sinkage_coefficient_at(soil, scenario.belief.sinkage_exponent, w["bearing_sinkage"])
     return (
         w["slip"],
         w["sinkage"] / scenario.wheel.radius,
@@ -211,8 +210,8 @@ def draw_side_view(
     # [px per Pa]; the mean pressure of the weight on half a radius times the width is drawn 0.45
     # radii long. Own choice.
     per_pascal = 0.45 * size * 0.5 * r * scenario.wheel.width / scenario.weight
-    c.clip(scene.box)
-    c.box(scene.box, canvas.SKY)
+    c.clip(SCENE)
+    c.box(SCENE, canvas.SKY)
     draw_ground(c, scene, x, profile, surface, _LEAST_RUT * r, bounds)
     draw_flag(c, scene, scene.at(profile.at(scenario.course.length)))
     places = scene.at(hubs)
@@ -226,9 +225,9 @@ def draw_side_view(
         drawing.draw_stresses(c, place, size, w["grade"], side, own, per_pascal)
     if posture is not None:
         _draw_suspension(c, scene, vehicle, posture, r)
-    drawing.draw_stress_key(c, scene.box, stresses)
+    drawing.draw_stress_key(c, SCENE, stresses)
     c.clip(None)
-    c.box(scene.box, None, canvas.GRID)
+    c.box(SCENE, None, canvas.GRID)
     draw_scale_bar(c, scene)
     _draw_readings(c, simulation, body, Cause(int(worlds.cause[0])))
 

@@ -69,14 +69,14 @@ class CourseView:
         simulation.complete(0)  # all of its course is drawn from the soils
         wheels = shown_wheels(simulation)
         width = width_of(simulation)
-        length = self.scenario.course.length
-        border = self.scenario.course.border
-        profile = profile_of(simulation.worlds.courses, border, width, length + 2.0 * width)
+        course = self.scenario.course
+        beyond = course.length + 2.0 * width
+        profile = profile_of(simulation.worlds.courses, course.border, width, beyond)
         bounds = friction_range(simulation)
         angles = np.broadcast_to(self._angles, len(wheels))  # 0 before the first record
         draw_side_view(canvas, simulation, wheels, profile, bounds, angles)
         draw_table(canvas, wheels, bounds)
-        draw_course(canvas, profile, length, [w["x"] for w in wheels], bounds)
+        draw_course(canvas, profile, course.length, [w["x"] for w in wheels], bounds)
         colours = [COLOURS[w["name"]] for w in wheels]
         history = np.reshape(self._history, (-1, 1 + QUANTITIES * len(wheels))).T
         draw_charts(canvas, history, colours, identified=wheels[0]["status"] is not None)

@@ -98,11 +98,9 @@ def show(report: Report, console: Console) -> None:
     """Print a panel of doubts, if there are any, and one with conclusion, summary, predictions and
     next step; then the report's `text` with equations and tables.
     """
-    colour = COLOURS.get(report.verdict, "yellow")
     if report.doubts:
         doubts = Text(" ".join(report.doubts))
         console.print(Panel(doubts, title="[bold]check first[/]", title_align="left", style="red"))
-    title = f"[bold]{report.verdict}[/]"
     said = "\n\n".join(
         (
             words.conclusion(report),
@@ -111,7 +109,14 @@ def show(report: Report, console: Console) -> None:
             words.next_step(report),
         )
     )
-    console.print(Panel(Text(said), title=title, title_align="left", style=colour))
+    console.print(
+        Panel(
+            Text(said),
+            title=f"[bold]{report.verdict}[/]",
+            title_align="left",
+            style=COLOURS.get(report.verdict, "yellow"),
+        )
+    )
     console.print(Text(text(report)))
 
 

@@ -66,8 +66,9 @@ def _of_effect(report: Report, e: EffectFound) -> Block:
         value = e.parameters[name]
         said = f" = {_number(value.value, p.unit, 3)}"
         if value.low != value.high:
-            ends = f"{_number(value.low, '', 3)} to {_number(value.high, p.unit, 3)}"
-            said += f" (95 % interval {ends})"
+            said += (
+                f" (95 % interval {_number(value.low, '', 3)} to {_number(value.high, p.unit, 3)})"
+            )
         elif report.is_free(e.name, name):
             said += " (at a bound of its range)"
         else:

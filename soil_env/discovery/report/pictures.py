@@ -2,7 +2,6 @@
 
 import io
 import re
-from typing import Any
 
 import matplotlib
 import numpy as np
@@ -67,8 +66,7 @@ def _columns(report: Report, height: float, rows: int = 1, **options) -> tuple[F
     figure in inches. A single column makes it as wide as two, for the legend. `options`: of
     `Figure.subplots`.
     """
-    width = WIDTH * max(len(report.channels), 2)
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = Figure(figsize=(WIDTH * max(len(report.channels), 2), height), layout="constrained")
     return figure, figure.subplots(rows, len(report.channels), squeeze=False, **options)
 
 
@@ -152,7 +150,7 @@ def curves(report: Report, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
     conditions.
     """
     data = report.problem.data
-    at: dict[str, Any] = {name: np.mean(column[rows]) for name, column in data.conditions.items()}
+    at = {name: np.mean(column[rows]) for name, column in data.conditions.items()}
     at["slip"] = np.linspace(data.rows.slip[rows].min(), data.rows.slip[rows].max(), POINTS)
     base = Law(at_conditions(report.problem, at), ()).output(report.base.u)
     return at["slip"], base, report.outlook.model.mean_at(at)

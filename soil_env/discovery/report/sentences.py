@@ -191,9 +191,9 @@ def next_test(t: NextTest) -> str:
     at = _place(t.conditions)
     if t.repeat:
         return f"{at}, again: the model misses most here, which may be a mistake of the rig"
-    against = f"{title(t.separates[0])} against {title(t.separates[1])}"
     return (
-        f"{at}: {against}, expected to differ by {t.expected_sigma:.1f} sd in {TITLES[t.channel]}"
+        f"{at}: {title(t.separates[0])} against {title(t.separates[1])}, expected to differ by "
+        f"{t.expected_sigma:.1f} sd in {TITLES[t.channel]}"
     )
 
 
@@ -330,9 +330,10 @@ def cautions(report: Report) -> list[str]:
     what "cautions.txt" says of the values computed here; `Report.doubts` are not among them.
     """
     problem = report.problem
+    data = problem.data
     noise = report.noise
     fit = report.fit
-    setup = problem.data.setup
+    setup = data.setup
     bounds = []
     off_prior = []
     widened = {k.name: k for k in problem.soil}
@@ -345,26 +346,24 @@ def cautions(report: Report) -> list[str]:
             # Distance in sd of the setup's prior, which the fit widened.
             far = abs(PRIOR_WIDTH * widened[unknown.name].at(value))
             off_prior += [(label, far)] if far > CAUTION_AT else []
-    residual = np.abs(problem.data.y - fit.output) / problem.sd
-    dropped = problem.data.measured & ~problem.used
+    residual = np.abs(data.y - fit.output) / problem.sd
+    dropped = data.measured & ~problem.used
     worse_with = []
     for j in np.flatnonzero(dropped.any(axis=0)):
         kept, whole = (
             math.sqrt(np.mean(residual[rows[:, j], j] ** 2))
-            for rows in (problem.used, problem.data.measured)
+            for rows in (problem.used, data.measured)
         )
         if whole > WITH_OUTLIERS * kept:
             worse_with.append((TITLES[CHANNELS[j]], whole, kept))
-    wheel = problem.data.wheel
+    wheel = data.wheel
     text = _rendered(
         "cautions.txt",
         report,
-        one_load=one_load(problem.data.table, setup),
-        shared_stiffness=shared_stiffness(problem.data.table, setup),
-        conditions=len(np.unique(problem.data.cell)),
-        no_row_has=not (problem.data.rows.wheels[:, :2] == [wheel.radius, wheel.width])
-        .all(1)
-        .any(),
+        one_load=one_load(data.table, setup),
+        shared_stiffness=shared_stiffness(data.table, setup),
+        conditions=len(np.unique(data.cell)),
+        no_row_has=not (data.rows.wheels[:, :2] == [wheel.radius, wheel.width]).all(1).any(),
         missing=[TITLES[name] for name in CHANNELS if name not in report.channels],
         from_scatter=[
             (TITLES[n], amount(n, noise.sd[j]))
@@ -376,13 +375,13 @@ def cautions(report: Report) -> list[str]:
         worse_with=worse_with,
         at_bound=bounds,
         off_prior=off_prior,
-        buried=np.sum(fit.output[:, 0] >= SUNK * DEEPEST * problem.data.rows.wheels[:, 0]),
+        buried=np.sum(fit.output[:, 0] >= SUNK * DEEPEST * data.rows.wheels[:, 0]),
         remains=[
             (TITLES[n], g.over_noise[1])
             for n, g in report.gap.items()
             if report.effects and g.after > LEFT * g.noise_floor
         ],
-        lugs_unknown=problem.data.lugs_unknown,
+        lugs_unknown=data.lugs_unknown,
     )
     lines = [*report.taken, *map(str.strip, text.splitlines())]
     return [line[:1].upper() + line[1:] for line in lines if line]
@@ -413,13 +412,14 @@ def if_laws_err(report: Report) -> str:
     less than `NAMED`, the sentence says that none exceeds its probability. "" where no effect is
     `MENTIONED`.
     """
-    ranked = sorted(report.finding.ranking, key=lambda r: -r.probability)
+    ranking = report.finding.ranking
+    ranked = sorted(ranking, key=lambda r: -r.probability)
     ranks = [r for r in ranked if r.probability >= MENTIONED][:3]
     if not ranks:
         return ""
     said = joined(f"{title(r.name)} ({sure(r.probability)})" for r in ranks)
-    first = max(report.finding.ranking, key=lambda r: r.if_laws_err[-1])
-    named = [r for r in report.finding.ranking if r.name in report.finding.names] or [first]
+    first = max(ranking, key=lambda r: r.if_laws_err[-1])
+    named = [r for r in ranking if r.name in report.finding.names] or [first]
     then = joined(f"{title(r.name)} has {sure(r.if_laws_err[-1])}" for r in named)
     if first.if_laws_err[-1] < NAMED:
         then = f"none exceeds {sure(first.if_laws_err[-1])}: then these runs name nothing"

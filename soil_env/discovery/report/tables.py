@@ -147,10 +147,9 @@ def next_predictions(report: Report, most: int | None = None) -> Table:
     rows = []
     for k, test in enumerate(report.next_tests, start=1):
         for p in test.predicted[:most]:
-            values = zip(CHANNELS, p.mean, p.sd, strict=True)
             cells = [
                 f"{plain(UNITS[name][1] * mean)}±{plain(UNITS[name][1] * sd, 2)}"
-                for name, mean, sd in values
+                for name, mean, sd in zip(CHANNELS, p.mean, p.sd, strict=True)
                 if name in report.channels
             ]
             names = " + ".join(map(title, p.name.split(" and ")))

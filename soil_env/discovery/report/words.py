@@ -46,18 +46,18 @@ def next_step(report: Report) -> str:
     A check is asked for if it is among the next checks and would find something with `LIKELY`. It
     is also asked for if it decides an error of the rig that is named or has that probability.
     """
+    finding = report.finding
     named = {e.name for e in report.effects}
-    possible = {n for n in report.finding.candidates if report.finding.share(n) >= LIKELY}
-    suspected = named | possible
-    found = {c.name: sum(map(report.finding.share, c.decides)) for c in report.next_checks}
+    suspected = named | {n for n in finding.candidates if finding.share(n) >= LIKELY}
+    found = {c.name: sum(map(finding.share, c.decides)) for c in report.next_checks}
     setup = report.problem.data.setup
     checks = [
         c
         for c in open_checks(ruled_out(setup))
         if found.get(c.name, 0.0) >= LIKELY or suspected & {*INSTRUMENT} & {*c.decides}
     ]
-    done = list(dict.fromkeys((*setup.checked, *(n for c in checks for n in c.decides))))
-    of_sensor = report.finding.hypotheses[0].law in OF_SENSORS and report.verdict == "unlisted"
+    done = dict.fromkeys((*setup.checked, *(n for c in checks for n in c.decides)))
+    of_sensor = finding.hypotheses[0].law in OF_SENSORS and report.verdict == "unlisted"
     return filled(
         "next_step.txt",
         report,

@@ -90,8 +90,7 @@ def binned(table: Table, setup: Setup) -> Binned:
         # A channel that was not measured in a bin has no spread there.
         spreads = [s for s in map(median_abs_deviation, values) if math.isfinite(s)]
         usual = np.median(spreads) if spreads else 0.0
-        cleaned = [_without_outliers(v, usual) for v in values]
-        means, counts = zip(*cleaned, strict=True)
+        means, counts = zip(*(_without_outliers(v, usual) for v in values), strict=True)
         outliers += sum(counts)
         columns[channel] = np.array(means)
     columns |= dict.fromkeys(NOISE, np.full(len(bins), math.nan))
@@ -197,8 +196,7 @@ def _cut(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     order = np.argsort(value, kind="stable")
     gaps = np.diff(value[order])
     first = value.size // 2  # number of rows in the first part
-    quarter = value.size // 4
-    for begin in (0, quarter):
+    for begin in (0, value.size // 4):
         inner = gaps[begin : gaps.size - begin]
         widest = np.argmax(inner)
         if inner[widest] > JUMP * np.sum(inner):

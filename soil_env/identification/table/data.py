@@ -116,8 +116,7 @@ class Data:
         above it. Without any above it, it is on the bed of the first row of the table.
         """
         fresh = np.where(self.rows.conditions[:, 1] <= 1.0, np.arange(len(self.table)), 0)
-        runs = self.table.run[np.maximum.accumulate(fresh)]
-        return np.unique(runs, return_inverse=True)[1]
+        return np.unique(self.table.run[np.maximum.accumulate(fresh)], return_inverse=True)[1]
 
     @property
     def elapsed(self) -> dict[str, np.ndarray]:
@@ -139,16 +138,15 @@ def combinations_of(levels: Sequence[np.ndarray]) -> np.ndarray:
 def conditions_of(rows: Rows) -> dict[str, np.ndarray]:
     """Conditions [N] of rows by the columns of a table, in their units."""
     speed, passes, sine = rows.conditions.T
-    # Rounded to what the table said, without what sine and arcsine lose.
-    grade = np.round(np.degrees(np.arcsin(sine)), 6)
-    other = {
+    return {
         "slip": rows.slip,
         "load": rows.load,
         "speed": speed,
         "pass": passes,
-        "grade_deg": grade,
+        # Rounded to what the table said, without what sine and arcsine lose.
+        "grade_deg": np.round(np.degrees(np.arcsin(sine)), 6),
+        **dict(zip(WHEEL, rows.wheels.T, strict=True)),
     }
-    return other | dict(zip(WHEEL, rows.wheels.T, strict=True))
 
 
 def prepare(table: Table, setup: Setup) -> Data:
@@ -163,13 +161,14 @@ def prepare(table: Table, setup: Setup) -> Data:
     """
     # Columns that all rows must have or none, and what the message allows beside all.
     otherwise = {"speed": " or in none"}
-    height = setup.wheel.grouser_height
+    stated = setup.wheel
+    height = stated.grouser_height
     if height is None:
         otherwise = {"grouser_height": ", or wheel.grouser_height in the setup"} | otherwise
         # over the radius, since rows may have wheels of other sizes
-        median = float(np.median(table.grouser_height / table.radius(setup.wheel)))
-        height = setup.wheel.radius * (UNKNOWN_HEIGHT if math.isnan(median) else median)
-    wheel = ModelWheel(setup.wheel.radius, setup.wheel.width, height)
+        median = float(np.median(table.grouser_height / table.radius(stated)))
+        height = stated.radius * (UNKNOWN_HEIGHT if math.isnan(median) else median)
+    wheel = ModelWheel(stated.radius, stated.width, height)
     rows = rows_of(table, wheel)._replace(slip=table.rim_slip(setup).copy())
     for name, allowed in otherwise.items():
         empty = np.isnan(getattr(table, name))
@@ -197,8 +196,7 @@ def prepare(table: Table, setup: Setup) -> Data:
 
 def _one_to_one(a: Factor, b: Factor) -> bool:
     """True if the levels of two factors divide the rows into the same groups."""
-    pairs = combinations_of([a.level, b.level]).max() + 1
-    return bool(pairs == a.levels == b.levels)
+    return bool(combinations_of([a.level, b.level]).max() + 1 == a.levels == b.levels)
 
 
 def _follows(factor: Factor, others: Mapping[str, Factor]) -> bool:
@@ -207,8 +205,8 @@ def _follows(factor: Factor, others: Mapping[str, Factor]) -> bool:
     The fit is a sum of functions of one other factor each, with a free value at every level.
     """
     value = factor.scaled
-    constant = np.ones((value.size, 1))
-    functions = np.hstack([constant, *(np.eye(o.levels)[o.level] for o in others.values())])
+    levels = (np.eye(o.levels)[o.level] for o in others.values())
+    functions = np.hstack([np.ones((value.size, 1)), *levels])
     own = value - functions @ np.linalg.lstsq(functions, value, rcond=1e-9)[0]
     return bool(np.std(own) < OWN * np.std(value))
 
@@ -295,14 +293,15 @@ def _factor(name: str, value: np.ndarray) -> Factor:
     span = np.ptp(x)
     gap = max(_SAME_SHARE * span, same)
     order = np.argsort(x, kind="stable")
-    steps = np.diff(x[order]) > gap
-    level = np.empty(x.size, dtype=int)
+    rising = x[order]
+    steps = np.diff(rising) > gap
+    level = np.empty(x.size, int)
     level[order] = np.concatenate([[0], np.cumsum(steps)])
-    widest = max(map(np.ptp, np.split(x[order], np.flatnonzero(steps) + 1)))
+    widest = max(map(np.ptp, np.split(rising, np.flatnonzero(steps) + 1)))
     many = level.max() > max(_MOST_LEVELS, x.size // _ROWS_OF_LEVEL)
     if name in ("slip", "load", "speed", "grade_deg") and (many or widest > _CHAIN * gap):
         bins = max(2, min(_MOST_BINS, x.size // _ROWS_OF_BIN))
-        first = np.searchsorted(x[order], x[order])  # equal values stay together
+        first = np.searchsorted(rising, rising)  # equal values stay together
         # Numbers of bins without a gap: a value that many rows have may fill more than one.
         level[order] = np.unique(first * bins // x.size, return_inverse=True)[1]
     scaled = (x - 0.5 * (x.min() + x.max())) / (0.5 * span) if span > gap else np.zeros_like(x)

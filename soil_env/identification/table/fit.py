@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, compress
-from typing import Any, NamedTuple
+from typing import Any
 from warnings import warn
 
 import numpy as np
@@ -139,6 +139,9 @@ class ChannelFit:
         return _rms(self.residual)
 
 
+Fits = dict[str, ChannelFit]  # by channel
+
+
 def _rms(off: np.ndarray) -> float:
     """Root mean square of the values that are not nan."""
     return math.sqrt(np.nanmean(off**2))
@@ -182,9 +185,11 @@ class TableEstimate:
         for doubt in filter(None, (*self.check_first, self.misfit)):
             warn(doubt, stacklevel=2)
         sizes = ModelWheel.of(wheel)
-        gravity = self.soil.gravity_measured or EARTH_GRAVITY
-        wheel = ModelWheel(sizes.radius, sizes.width)
-        return WheelSoilModel(wheel, self.soil, gravity=gravity)
+        return WheelSoilModel(
+            ModelWheel(sizes.radius, sizes.width),
+            self.soil,
+            gravity=self.soil.gravity_measured or EARTH_GRAVITY,
+        )
 
 
 def identify_table(table: Table, setup: Setup, *, check: bool = True) -> TableEstimate:
@@ -206,55 +211,36 @@ def identify_table(table: Table, setup: Setup, *, check: bool = True) -> TableEs
         table, setup, dense = binned(table, setup)
         examined = Examined(table)
         if check:
-            examined = examine(_with_whole_speeds(table), setup)
+            # `examine` refuses speeds in some rows only; the base model does not depend on them.
+            if np.any(np.isnan(table.speed)):
+                table = replace(table, speed=np.full(len(table), math.nan))
+            examined = examine(table, setup)
+        table = examined.table
+        if examined.noise is not None:  # outliers count as not measured; no row is left empty
+            used = examined.noise.used
+            table = table.with_values(used).only(np.any(used, axis=1))
         with examined.named_first():
-            problem = TableProblem(_as_examined(examined), setup)
+            problem = TableProblem(table, setup)
         if not problem.soil:
             raise ParameterError(
                 f"{setup.source}: soil: every parameter is known: expected at least one to "
                 "identify, left out or as {value: ..., sd: ...}"
             )
+        # The fit under noise alone, without errors of the laws, shows if the base model is enough.
         u, converged = _settle(problem, problem.search())
-        plain = _Plain(u, _fits(problem, u))
+        plain = _fits(problem, u)
         missed = _missed(problem, plain, examined.noise)
         if missed and examined.noise is not None:
             problem.take_noise(examined.noise)
             u, converged = _settle(problem, u, False)
-            plain = _Plain(u, _fits(problem, u))
+            plain = _fits(problem, u)
+        off_prior = _off_prior(problem, u)
         for _ in range(_FORM_PASSES):
-            share = problem.by_law_error(u)[0]
-            problem.allow_form_error(u, LAW_ERRORS[np.argmax(share)])
+            problem.allow_form_error(u, LAW_ERRORS[np.argmax(problem.by_law_error(u)[0])])
             u, converged = _settle(problem, u, False)
         if not problem.measured[:, 0].any():
             problem.z_ref = float(np.median(problem.steady(u, problem.corrected)[:, 0]))
-        return _summary(problem, u, converged, plain, missed, examined, dense)
-
-
-def _with_whole_speeds(table: Table) -> Table:
-    """The table without its speeds if some rows lack one, which `examine` would refuse: the base
-    model does not depend on the speed.
-    """
-    missing = np.isnan(table.speed)
-    return replace(table, speed=np.full(len(table), math.nan)) if np.any(missing) else table
-
-
-def _as_examined(examined: Examined) -> Table:
-    """The examined table with outliers turned into values not measured, without rows that are left
-    empty; as it is where it was not examined.
-    """
-    if examined.noise is None:
-        return examined.table
-    used = examined.noise.used
-    return examined.table.with_values(used).only(np.any(used, axis=1))
-
-
-class _Plain(NamedTuple):
-    """The solution under noise alone, without errors of the laws, which shows whether the base
-    model is enough.
-    """
-
-    u: np.ndarray  # [p]
-    fits: dict[str, ChannelFit]
+        return _summary(problem, u, converged, plain, off_prior, missed, examined, dense)
 
 
 def _settle(
@@ -293,9 +279,8 @@ def _derivatives(problem: TableProblem) -> dict[str, np.ndarray]:
     Parameters are in the coordinate of the fit: phi [deg], ln K, ln S, n, c [Pa], ln of S z_ref^n,
     tilt [deg]. Of those that are not fitted all derivatives are 0.
     """
-    unknowns = problem.unknowns
     # x = mean + sd u
-    out = {name: np.array([k.sd * (k.name == name) for k in unknowns]) for name in LABELS}
+    out = {name: np.array([k.sd * (k.name == name) for k in problem.unknowns]) for name in LABELS}
     by_exponent = math.log(problem.z_ref) * out["sinkage_exponent"]
     return out | {"reference_pressure": out["sinkage_coefficient"] + by_exponent}
 
@@ -304,16 +289,18 @@ def _summary(
     problem: TableProblem,
     u: np.ndarray,
     converged: bool,
-    plain: _Plain,
+    plain: Fits,
+    off_prior: list[tuple[float, str]],
     missed: dict[str, float],
     examined: Examined,
     dense: str,
 ) -> TableEstimate:
     """The estimate from the solution u, with its intervals over all `LAW_ERRORS` and its warnings.
 
-    `plain`: the solution under noise alone; `missed`: misfit of the channels that it misses
-    (`_missed`); `dense`: words on bins, "" for a table without. The covariance is about u, which is
-    the estimate, and not about the mean over the `LAW_ERRORS`, which differs from u.
+    `plain` and `off_prior` are of the solution under noise alone: its fits and what `_off_prior`
+    says of it. `missed`: misfit of the channels that it misses (`_missed`). `dense`: words on bins,
+    "" for a table without. The covariance is about u, which is the estimate, and not about the mean
+    over the `LAW_ERRORS`, which differs from u.
     """
     scaling = _derivatives(problem)
     free = [name for name in LABELS if np.any(scaling[name])]
@@ -333,16 +320,15 @@ def _summary(
     by_soil = problem.derivatives(u)[:, of_soil] @ np.linalg.inv(by_u[:, of_soil])
     condition = np.linalg.cond(by_soil * prior_sd)
     fits = {
-        name: replace(fit, p_value=plain.fits[name].p_value, too_small=plain.fits[name].too_small)
+        name: replace(fit, p_value=plain[name].p_value, too_small=plain[name].too_small)
         for name, fit in _fits(problem, u).items()
     }
     labels = tuple(LABELS[name] for name in free)
     parameters = _parameters(problem, u, whole, scaling)
-    first = [*examined.said, *_units(problem, parameters, plain.fits)]
+    first = [*examined.said, *_units(problem, parameters, plain)]
     exact = tuple(n for n in ("slip", "load") if getattr(problem.setup.noise, n) is None)
     law_error = math.sqrt(sum(p * of.size**2 for p, of in zip(share, LAW_ERRORS, strict=True)))
     misfit = _misfit(exact, plain, missed, law_error, fits)
-    off_prior = _off_prior(problem, plain)
     far, words = max(off_prior, default=(0.0, ""))
     first += [words] if far > FAR_OFF_PRIOR and not misfit else []
     warnings = [
@@ -356,7 +342,7 @@ def _summary(
             u,
             [words for _, words in off_prior if words not in first],
             converged,
-            bool(dense),
+            dense,
         ),
     ]
     return TableEstimate(
@@ -428,7 +414,7 @@ def _parameters(
     return out
 
 
-def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
+def _fits(problem: TableProblem, u: np.ndarray) -> Fits:
     """`ChannelFit` of each measured channel, and of the load if it has noise, at the solution u.
 
     The probabilities are those of chi-squared, with the degrees of freedom that the fit leaves to
@@ -469,9 +455,7 @@ def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
     return fits
 
 
-def _units(
-    problem: TableProblem, parameters: dict[str, Parameter], fits: dict[str, ChannelFit]
-) -> list[str]:
+def _units(problem: TableProblem, parameters: dict[str, Parameter], fits: Fits) -> list[str]:
     """Warnings of a wrong unit in setup or table: a tiny load (`LIGHT`), or else a soil that is
     softer than any (`SOFT`) to the upper end of its 95 % interval. Also residuals far below a given
     noise.
@@ -523,33 +507,35 @@ def _undetermined(
     return words
 
 
-def _off_prior(problem: TableProblem, plain: _Plain) -> list[tuple[float, str]]:
+def _off_prior(problem: TableProblem, u: np.ndarray) -> list[tuple[float, str]]:
     """(distance from its prior [prior sd], a sentence on that) of each parameter whose solution
-    under noise alone, `plain.u`, is further than `OFF_PRIOR` from a prior of the setup, or from
-    what its calibration allows.
+    under noise alone, u [p], is further than `OFF_PRIOR` from a prior of the setup, or from what
+    its calibration allows.
     """
     found = []
-    for unknown, d in zip(problem.unknowns, plain.u, strict=True):
+    for unknown, d in zip(problem.unknowns, u, strict=True):
         of_rig = unknown.name in _OF_RIG
         if abs(d) > OFF_PRIOR and (of_rig or given_prior(problem.setup, unknown.name) is not None):
-            label = _OF_RIG[unknown.name] if of_rig else _SINGLE[unknown.name]
+            label = (_SINGLE | _OF_RIG)[unknown.name]
             of = "calibration" if of_rig else "prior"
-            words = (
-                f"Were the stress laws exact, the {label} would be {abs(d):.1f} standard "
-                f"deviations from its {of}: {of}, table or laws are wrong."
+            found.append(
+                (
+                    abs(d),
+                    f"Were the stress laws exact, the {label} would be {abs(d):.1f} standard "
+                    f"deviations from its {of}: {of}, table or laws are wrong.",
+                )
             )
-            found.append((abs(d), words))
     return found
 
 
 def _doubts(
-    problem: TableProblem, u: np.ndarray, off_prior: list[str], converged: bool, dense: bool
+    problem: TableProblem, u: np.ndarray, off_prior: list[str], converged: bool, dense: str
 ) -> list[str]:
     """Warnings on the solution u [prior sd]: bounds, distance from priors, scarce noise, what is
     not modelled (`_not_modelled`), weights that have not settled.
 
-    `off_prior`: sentences of `_off_prior` that are not said elsewhere. `dense`: the rows are bins,
-    and the noise of the channels, that of single rows, is not used.
+    `off_prior`: sentences of `_off_prior` that are not said elsewhere. `dense`: words on bins, ""
+    without. Where rows are bins, the noise of the channels, that of single rows, is not used.
     """
     words = []
     low, high = problem.bounds
@@ -578,19 +564,19 @@ def _doubts(
     return words
 
 
-def _missed(problem: TableProblem, plain: _Plain, noise: NoiseEstimate | None) -> dict[str, float]:
+def _missed(problem: TableProblem, plain: Fits, noise: NoiseEstimate | None) -> dict[str, float]:
     """Misfit over the noise of each channel that the base model misses by more than chance
-    (`MISSED`, `FOLLOWS`).
+    (`MISSED`, `FOLLOWS`); `plain`: its fits under noise alone.
 
     A given noise is compared with the residuals. An estimated noise has taken up the misfit. So it
     is compared with the scatter about a smooth surface, `noise` (F test), where the table was
     examined. A channel is also missed if its residuals follow slip and load.
     """
     out = {}
-    for name, fit in plain.fits.items():
+    for name, fit in plain.items():
         ratio = fit.rms_over_noise
         if not fit.estimated:
-            if fit.p_value < MISSED / len(plain.fits):
+            if fit.p_value < MISSED / len(plain):
                 out[name] = ratio
             continue
         j = MEASURED.index(name)
@@ -606,10 +592,10 @@ def _missed(problem: TableProblem, plain: _Plain, noise: NoiseEstimate | None) -
 
 def _misfit(
     exact: tuple[str, ...],
-    plain: _Plain,
+    plain: Fits,
     missed: dict[str, float],
     law_error: float,
-    fits: dict[str, ChannelFit],
+    fits: Fits,
 ) -> str:
     """Sentences on a base model that does not fit; "" where no channel is `missed`.
 
@@ -632,11 +618,11 @@ def _misfit(
     )
 
 
-def _predicts_badly(plain: _Plain, fits: dict[str, ChannelFit]) -> str:
+def _predicts_badly(plain: Fits, fits: Fits) -> str:
     """Sentence on the channel in which the soil of the `fits` misses the table worst, relative to
     the fit with exact laws; "" below `MUCH_WORSE`.
     """
-    ratio, name = max((f.rms / max(plain.fits[n].rms, SMALLEST_SD), n) for n, f in fits.items())
+    ratio, name = max((f.rms / max(plain[n].rms, SMALLEST_SD), n) for n, f in fits.items())
     if ratio < MUCH_WORSE:
         return ""
     return (
@@ -655,6 +641,7 @@ def _not_modelled(problem: TableProblem) -> list[str]:
     k_c and k_phi.
     """
     table = problem.table
+    setup = problem.setup
     used = problem.use
     names = np.array([name.replace("_", " ") for name in MEASURED])
     there = problem.measured.any(axis=0)
@@ -663,8 +650,8 @@ def _not_modelled(problem: TableProblem) -> list[str]:
     left_out = np.sum(~used)
     unseen = np.sum(np.isnan(table.sinkage[used]))
     fitted = table.only(used)
-    alone = one_load(fitted, problem.setup)
-    shared = shared_stiffness(fitted, problem.setup)
+    alone = one_load(fitted, setup)
+    shared = shared_stiffness(fitted, setup)
     told = (
         (alone, alone),
         (
@@ -684,12 +671,12 @@ def _not_modelled(problem: TableProblem) -> list[str]:
             "earlier passes: fit pass 1 alone, or run soil-env discover.",
         ),
         (
-            problem.setup.load == "normal" and np.any(np.abs(table.grade_deg[used]) > LEVEL),
+            setup.load == "normal" and np.any(np.abs(table.grade_deg[used]) > LEVEL),
             "Rows on a grade are taken as level: the base model has no effect of grade on the "
             "soil.",
         ),
         (
-            np.any(table.height(problem.setup.wheel)[used] > 0.0),
+            np.any(table.height(setup.wheel)[used] > 0.0),
             "The grousers are not modelled: the rim is taken as smooth at wheel radius.",
         ),
         (shared, shared),
@@ -709,8 +696,7 @@ def _follows_conditions(slip: np.ndarray, load: np.ndarray, residual: np.ndarray
     i = slip[kept]
     log_load = np.log(load[kept])
     # A table of one load has no terms of the load.
-    varies = np.ptp(log_load) > SAME_LOG_LOAD
-    w = log_load - np.mean(log_load) if varies else np.zeros_like(i)
+    w = log_load - np.mean(log_load) if np.ptp(log_load) > SAME_LOG_LOAD else np.zeros_like(i)
     basis = np.stack([np.ones_like(i), i, i * i, w, i * w], axis=1)
     solution, _, rank, _ = np.linalg.lstsq(basis, e, rcond=1e-9)
     fitted = basis @ solution

@@ -108,7 +108,7 @@ class Process:
         *,
         of: Sequence[str] | None = None,
         additive: bool = False,
-        most: int = 40,
+        most: int,
         lengths: Mapping[str, float] = LENGTHS,
     ) -> "Process":
         """The process over the coordinates in `lengths` (and in `of`, unless None) whose condition
@@ -312,13 +312,12 @@ class NormalEquations(NamedTuple):
         """The products without the form errors that are not `used` [K, bool], if all noise were
         `noise` times as large.
         """
-        width = tuple(w for w, some in zip(self.width, (True, *used), strict=True) if some)
         at = np.flatnonzero(np.repeat((True, *used), self.width))
         return NormalEquations(
             self.gram[np.ix_(at, at)] / noise**2,
             self.along[at] / noise**2,
             self.square / noise**2,
-            width,
+            tuple(w for w, some in zip(self.width, (True, *used), strict=True) if some),
         )
 
 
@@ -343,13 +342,14 @@ def marginals(
     used[:first] = True
     gram, along, square_sum, width = problem.where(used, noise)
     sizes = sizes[:, used]
+    count = len(sizes)
     p = u.size
     start = np.concatenate([u, np.zeros(along.size - p)])
     square_sum += u @ u
-    log = np.empty(len(sizes))
-    mean = np.empty((len(sizes), p))
-    covariance = np.empty((len(sizes), p, p))
-    scales = np.repeat(np.column_stack([np.ones(len(sizes)), sizes]), width, axis=1)
+    log = np.empty(count)
+    mean = np.empty((count, p))
+    covariance = np.empty((count, p, p))
+    scales = np.repeat(np.column_stack([np.ones(count), sizes]), width, axis=1)
     # Columns that are eliminated first, of the unknowns and the `first` form errors; of each other
     # column, the number of its form error after those.
     outer = np.arange(sum(width[: 1 + first]))
@@ -464,5 +464,4 @@ def covariance_about(
     covariance where `point` is its mean. Other arguments as in `mixed`.
     """
     off = mean - point
-    about: np.ndarray = np.tensordot(share, covariance + off[:, :, None] * off[:, None, :], 1)
-    return about
+    return np.tensordot(share, covariance + off[:, :, None] * off[:, None, :], 1)

@@ -185,37 +185,37 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
                 **{column: factor * getattr(table, column) for column in columns},
             )
     if has_pull or has_torque:  # sinkage alone may rise or fall with slip
+        slip = table.slip
         add(
             "slip",
             "With the sign of slip turned",
             "expected slip positive where the wheel drives",
-            slip=-table.slip,
+            slip=-slip,
         )
         add(
             "slip_travel",
             "With slip as (r w - V)/V (divided by 1 + itself)",
             "expected slip as (r w - V)/(r w) where the wheel drives",
-            slip=table.slip / (1.0 + np.maximum(table.slip, 0.0)),
+            slip=slip / (1.0 + np.maximum(slip, 0.0)),
         )
-        begins = np.min(np.abs(table.slip)) <= LOW_SLIP
+        begins = np.min(np.abs(slip)) <= LOW_SLIP
         # A rig begins at low slip: a table that does is not read as one that does not.
-        if np.all(table.slip >= 0.0) and (not begins or np.max(table.slip) >= 1.0 - LOW_SLIP):
+        if np.all(slip >= 0.0) and (not begins or np.max(slip) >= 1.0 - LOW_SLIP):
             add(
                 "slip_ratio",
                 "With slip as V/(r w) (1 less itself)",
                 "expected slip as 1 - V/(r w)",
-                slip=1.0 - table.slip,
+                slip=1.0 - slip,
             )
     half = 0.5 * setup.wheel.radius
     if not np.any(np.isfinite(table.wheel_radius)) and half >= LEAST_RADIUS:
         # a sinkage or lugs beyond the halved radius make it impossible
         if not np.any(table.sinkage > half) and (setup.wheel.grouser_height or 0.0) < half:
-            wheel = dataclasses.replace(setup.wheel, radius=half)
             add(
                 "radius",
                 f"With wheel.radius of the setup halved to {half:g} m",
                 "expected the radius, not the diameter",
-                there=setup.changed(wheel=wheel),
+                there=setup.changed(wheel=dataclasses.replace(setup.wheel, radius=half)),
             )
     return out
 
@@ -262,7 +262,7 @@ def _problem(
     noise = dataclasses.replace(reading.setup.noise, **levels)
     setup = reading.setup.changed(noise=noise, calibration=EXACT)
     # all rows: `usable_rows` would refuse some readings
-    return TableProblem(there, setup, np.ones(len(there), dtype=bool), scarce=scarce)
+    return TableProblem(there, setup, np.ones(len(there), bool), scarce=scarce)
 
 
 def _fit(
@@ -296,25 +296,26 @@ def _noise(data: Data, fit: _Fit) -> NoiseEstimate:
     are outliers, but does not enter the noise. Where the values do not show their noise it is
     `rough_noise`, and all values are used.
     """
+    reading = fit.reading
 
     def surface(rows: Rows) -> np.ndarray:
         """Values [N, 3] of the fit in units, signs and columns of the table as it is."""
         model = np.zeros_like(data.y)
-        found = fit.problem.steady(fit.u, rows) / fit.reading.scale
-        model[:, list(fit.reading.source)] = finite(found)
-        if fit.reading.name == "pull":  # its values have another sign, its `scale` is 1
+        found = fit.problem.steady(fit.u, rows) / reading.scale
+        model[:, list(reading.source)] = finite(found)
+        if reading.name == "pull":  # its values have another sign, its `scale` is 1
             model[:, 1] *= -1.0
         return model
 
     model = surface(fit.problem.rows)
     try:
         found = find_noise(data, model)
-        if fit.reading.name:  # its slip may differ from that of the data
+        if reading.name:  # its slip may differ from that of the data
             return found
         wide = with_noise_of_conditions(data, surface)[0]
         return dataclasses.replace(found, used=find_noise(wide, model).used)
     except ParameterError:
-        alone = np.zeros(len(model), dtype=bool)
+        alone = np.zeros(len(model), bool)
         return NoiseEstimate(
             rough_noise(data), np.full(3, math.inf), ("",) * 3, data.measured, alone
         )
@@ -405,8 +406,7 @@ def _other_readings(start: _AsIs) -> list[Better]:
     base = first if noise is start.noise else _fit(plain, noise.sd, noise.used, first.u)
     fits = [_fit(fit.reading, noise.sd, noise.used, fit.u) for fit in under_rough]
     if max(f.evidence for f in fits) - base.evidence > MAYBE:
-        searched = _fit(plain, noise.sd, noise.used, search=True)
-        base = max(base, searched, key=lambda f: f.evidence)
+        base = max(base, _fit(plain, noise.sd, noise.used, search=True), key=lambda f: f.evidence)
     found = [
         Better(f.reading, f.evidence - base.evidence + rise + held, f.rms, base.rms, rise)
         for f, rise, held in zip(fits, by_rises, by_resistance, strict=True)
@@ -426,8 +426,7 @@ def _rises(data: Data, noise: NoiseEstimate) -> np.ndarray:
     whole = np.all(noise.used[:, 1:] | ~data.measured[:, 1:], axis=1)
     rises = np.full(2, math.nan)
     for k in range(2):
-        groups = _from_low_slip(data, whole & data.measured[:, k + 1])
-        known = [forces[rows, k] for rows in groups]
+        known = [forces[rows, k] for rows in _from_low_slip(data, whole & data.measured[:, k + 1])]
         size = np.median([np.ptp(y) for y in known]) if known else 0.0
         if size > 0.0:  # not of a wheel that climbs freely
             rises[k] = math.copysign(size, np.median([y[-1] - y[0] for y in known]))
@@ -548,13 +547,13 @@ def examine(table: Table, setup: Setup) -> Examined:
         cells, _ = _outliers(data, start.noise)
         return Examined(table, (*dead, *always), start.noise, tuple(cells))
     start, rows = _without_wrong_rows(start)
+    table = start.data.table
     cells, gross = _outliers(start.data, start.noise)
     readings_doubted, undecided = _readings_doubted(start)
-    first = [*rows, *_load_alone(start.data.table), *gross, *readings_doubted]
-    if not first and (load := load_doubt(start.data.table, setup)):
+    first = [*rows, *_load_alone(table), *gross, *readings_doubted]
+    if not first and (load := load_doubt(table, setup)):
         first = [load]
-    said = (*first, *always)
-    return Examined(start.data.table, said, start.noise, (*rows, *cells), undecided)
+    return Examined(table, (*first, *always), start.noise, (*rows, *cells), undecided)
 
 
 def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
@@ -642,16 +641,17 @@ def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
     not searched.
     """
     data, noise, fit = start
+    count = len(data.table)
     # Noise that was taken from the scatter, or that the values do not show (`_noise`).
     hidden = "scatter" in noise.origin or not any(noise.origin)
-    if len(data.table) <= FEWEST_ROWS or not (start.suspect or hidden):
+    if count <= FEWEST_ROWS or not (start.suspect or hidden):
         return None
     off = _robust_deviations(fit)
     row = _worst_row(data, off, _noise_without_a_row(data, noise.sd) if hidden else noise.sd)
     if _is_shared(data, row, off):
         return None
     try:
-        rest = _as_is(prepare(data.table.only(np.arange(len(data.table)) != row), data.setup))
+        rest = _as_is(prepare(data.table.only(np.arange(count) != row), data.setup))
     except ParameterError:  # too little is left
         return None
     if _goes_on(data, row, rest):
@@ -660,9 +660,9 @@ def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
     sd = rest.noise.sd
     with_row = np.insert(rest.noise.used, row, data.measured[row], axis=0)
     gain = rest.fit.evidence - _fit(fit.reading, sd, with_row).evidence
-    gain -= math.log(len(data.table))  # prior: any row may be the wrong one
+    gain -= math.log(count)  # prior: any row may be the wrong one
     # Few rows under a noise that is taken from them need more evidence.
-    least = GROSS if hidden and len(data.table) <= SMALL else WRONG
+    least = GROSS if hidden and count <= SMALL else WRONG
     words = _words_on(data, row, rest.fit, sd, gain, least)
     return (rest, words) if words else None
 
@@ -789,13 +789,12 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
     }
     fits = {name: np.sqrt(np.mean(residuals(name, x) ** 2, axis=1)) for name, x in grids.items()}
     best = min(fits, key=lambda name: np.min(fits[name]))
-    names = np.array(CHANNELS)[known]
-    free = np.ones(len(names), dtype=bool)  # [M] values that may be anywhere
-    if len(names) > 2 and np.sum(off > CLEAR) == 1:
-        name = names[np.argmax(off)]
+    free = np.ones(y.size, bool)  # [M] values that may be anywhere
+    if y.size > 2 and np.sum(off > CLEAR) == 1:
+        name = np.array(CHANNELS)[known][np.argmax(off)]
         check = f"check {name} = {getattr(table, name)[row]:g} there."
         free = off > CLEAR
-    elif len(names) < 2 or np.min(fits[best]) > CLEAR:
+    elif y.size < 2 or np.min(fits[best]) > CLEAR:
         check = "check slip, load and values there."
     else:
         value = float(f"{grids[best][np.argmin(fits[best])]:.2g}")
@@ -805,7 +804,7 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
             f"{getattr(table, best)[row]:g}{unit} there."
         )
         # The value that tells most of the load or slip.
-        free = np.arange(len(names)) == np.argmax(spread / allowed)
+        free = np.arange(y.size) == np.argmax(spread / allowed)
         off = residuals(best, np.array([value]))[0]
     gain -= np.sum(np.where(free, np.log(spread / noise), np.log(allowed / noise) + 0.5 * off**2))
     if gain < SURE:
@@ -868,8 +867,10 @@ def _grades_doubted(data: Data) -> list[str]:
     grades = data.table.grade_deg[np.abs(data.table.grade_deg) > 0.0]  # of those that are given
     if not look_like_radians([repr(float(g)) for g in grades]):
         return []
-    angle = math.degrees(abs(grades[0]))
-    return [f"grade_deg = {abs(grades[0]):g} is {angle:.0f} degrees in radians: expected degrees."]
+    return [
+        f"grade_deg = {abs(grades[0]):g} is {math.degrees(abs(grades[0])):.0f} degrees in radians: "
+        "expected degrees."
+    ]
 
 
 def _channels_doubted(data: Data) -> list[str]:
@@ -889,10 +890,9 @@ def _channels_doubted(data: Data) -> list[str]:
     ):
         known = data.measured[:, j]
         y = data.y[known, j]
-        slips = data.rows.slip[known]
         if (
             y.size < FEWEST_VALUES
-            or np.ptp(slips) < LEAST_SPAN
+            or np.ptp(data.rows.slip[known]) < LEAST_SPAN
             or (j == 1 and data.setup.load == "vertical" and not np.any(y))
         ):
             continue

@@ -84,16 +84,16 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
     sd = np.ones(3)
     freedom = np.full(3, math.inf)
     origin = [""] * 3
-    alone = np.zeros(len(used), dtype=bool)
+    alone = np.zeros(len(used), bool)
     for j, name in enumerate(CHANNELS):
-        if not used[:, j].any():
+        values = used[:, j].sum()
+        if not values:
             continue
         if given[j] is not None:
             origin[j] = "setup"
             sd[j] = given[j]
         else:
             origin[j] = "repeats" if repeat_freedom[j] >= FEWEST_REPEATS else "scatter"
-        values = used[:, j].sum()
         if values - basis.shape[1] < SPARE:
             if origin[j] == "scatter":
                 raise ParameterError(
@@ -104,12 +104,13 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
         relative = data.relative_sd[:, j]
         e = (data.y[:, j] - model[:, j]) / relative
         weighted = basis / relative[:, None]
-        used[:, j] = _without_outliers(weighted, e, used[:, j], given[j], data.varied["slip"].level)
-        left, leverage = _surface(weighted, e, used[:, j])
-        alone |= used[:, j] & (leverage > ALONE)
+        kept = _without_outliers(weighted, e, used[:, j], given[j], data.varied["slip"].level)
+        used[:, j] = kept
+        left, leverage = _surface(weighted, e, kept)
+        alone |= kept & (leverage > ALONE)
         if origin[j] == "scatter":
-            freedom[j] = used[:, j].sum() - basis.shape[1]
-            sd[j] = math.sqrt(np.sum(left[used[:, j]] ** 2) / freedom[j])
+            freedom[j] = kept.sum() - basis.shape[1]
+            sd[j] = math.sqrt(np.sum(left[kept] ** 2) / freedom[j])
     if "repeats" in origin:
         repeats = [text == "repeats" for text in origin]
         cleaned = dataclasses.replace(data, y=np.where(used, data.y, math.nan))
@@ -152,10 +153,9 @@ def given_noise(data: Data) -> list[float | None]:
         least = LEAST_GIVEN * np.sqrt(np.mean(values**2)) if values.size else 0.0
         sd = given[j]
         if sd is not None and sd < least:
-            where = data.table.sd_source(data.setup, name)
             raise ParameterError(
-                f"{where} = {sd:g}: expected at least {least:.2g}, a "
-                "millionth of the values; leave it out where it is not known"
+                f"{data.table.sd_source(data.setup, name)} = {sd:g}: expected at least "
+                f"{least:.2g}, a millionth of the values; leave it out where it is not known"
             )
     return given
 
@@ -212,10 +212,10 @@ def _derivatives(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -
         moved = smooth_basis(dataclasses.replace(data, varied=data.varied | {name: shifted}))
         by_scaled = (moved - basis) / SHIFT
         left = data.y - predict(data.rows)
-        for j in range(len(CHANNELS)):
-            rows = np.isfinite(left[:, j])
+        for j, e in enumerate(left.T):
+            rows = np.isfinite(e)
             if rows.any():
-                coefficients, *_ = np.linalg.lstsq(basis[rows], left[rows, j], rcond=1e-10)
+                coefficients, *_ = np.linalg.lstsq(basis[rows], e[rows], rcond=1e-10)
                 out[:, j] += by_scaled @ coefficients * scaled_by_value
     return finite(out)
 
@@ -276,8 +276,7 @@ def _studentised(spread: np.ndarray, square: float, freedom: int) -> np.ndarray:
     # of the others; where one value makes up the whole sum its difference is rounding
     rest = np.maximum(square - spread**2, 1e-12 * square)
     t = np.abs(spread) / np.sqrt(rest / freedom)
-    tail = special.stdtr(freedom, -t)
-    return np.asarray(-special.ndtri(np.maximum(tail, LEAST_TAIL)))
+    return np.asarray(-special.ndtri(np.maximum(special.stdtr(freedom, -t), LEAST_TAIL)))
 
 
 def _check_scatter(data: Data, used: np.ndarray, sd: np.ndarray, origin: list[str]) -> None:
@@ -325,7 +324,7 @@ def smooth_basis(data: Data) -> np.ndarray:
     columns += [c.scaled**2 for c in sizes if c.levels > 2]
     cells = data.cell.max() + 1
     basis = np.stack(columns, axis=1)
-    kept = np.ones(len(columns), dtype=bool)
+    kept = np.ones(len(columns), bool)
     # With fewer rows than columns, R has no diagonal for the last ones; the cut at the end then
     # leaves few enough.
     if sizes and len(basis) >= len(columns):

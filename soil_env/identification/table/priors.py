@@ -174,13 +174,14 @@ def soil_of(setup: Setup, values: Values) -> Soil:
     k_phi, the soil has these in place of S, in their ratio. So wheels of other widths have the S
     that `rig.predict_table` gives them.
     """
+    stated = setup.soil
     numbers = {**given_laws(setup), "gravity_measured": setup.gravity}
-    density = setup.soil.density
+    density = stated.density
     numbers |= {"density": density.value} if density else {}
     numbers |= values
-    usual = setup.soil.lumped(setup.wheel.width)
-    k_c = setup.soil.k_c
-    k_phi = setup.soil.k_phi
+    usual = stated.lumped(setup.wheel.width)
+    k_c = stated.k_c
+    k_phi = stated.k_phi
     if usual is not None and k_c is not None and k_phi is not None:
         ratio = numbers.pop("sinkage_coefficient") / usual.value
         numbers |= {"k_c": ratio * k_c.value, "k_phi": ratio * k_phi.value}

@@ -101,8 +101,7 @@ def most_probable(
 
     def residual(u):
         """Residuals [M + p], whose squares add up to J: those of the values, then those of u."""
-        e = target - model(u)
-        return np.concatenate([finite(e, NO_VALUE), u])
+        return np.concatenate([finite(target - model(u), NO_VALUE), u])
 
     def jacobian(u):
         """Derivatives [M + p, p] of `residual` by u."""
@@ -164,16 +163,15 @@ class TableProblem:
     ) -> None:
         use = usable_rows(table, setup) if use is None else use
         zeros = np.zeros(len(table))
-        # A smooth rim; speed 0 and pass 1, since the base model does not depend on them.
-        wheels = np.column_stack([table.radius(setup.wheel), table.width(setup.wheel), zeros])
         sin_grade = np.sin(np.radians(np.nan_to_num(table.grade_deg)))  # level where none is given
         self.table = table
         self.setup = setup
         self.use = use
+        # A smooth rim; speed 0 and pass 1, since the base model does not depend on them.
         rows = (
             table.rim_slip(setup),
             table.load,
-            wheels,
+            np.column_stack([table.radius(setup.wheel), table.width(setup.wheel), zeros]),
             np.column_stack([zeros, zeros + 1.0, sin_grade]),
         )
         self.rows = Rows(*(column[use] for column in rows))
@@ -186,8 +184,9 @@ class TableProblem:
         #: [N, 5] noise of each value over that of its source.
         self.relative = relative[use]
         #: [m] reference sinkage
-        self.z_ref = middle_sinkage(self.y[:, 0], setup.wheel.radius)
-        self.soil, self.known = soil_unknowns(setup, self.rows.load, self.y[:, 0])
+        sinkage = self.y[:, 0]
+        self.z_ref = middle_sinkage(sinkage, setup.wheel.radius)
+        self.soil, self.known = soil_unknowns(setup, self.rows.load, sinkage)
         #: Errors of the rig, unknowns after those of the soil.
         self.rig = sensor_unknowns(setup, float(np.median(self.rows.load)), setup.wheel.radius)
         self.unknowns = (*self.soil, *self.rig)
@@ -234,16 +233,15 @@ class TableProblem:
         for name, sd, least in zip(SOURCES, given, _LEAST_GIVEN * guess, strict=True):
             if sd is not None and sd < least:
                 known = "it counts as exact" if name in ("slip", "load") else "it is not known"
-                where = self.table.sd_source(self.setup, name)
                 raise ParameterError(
-                    f"{where} = {sd:g}: expected at least {least:.2g}; leave it out where {known}"
+                    f"{self.table.sd_source(self.setup, name)} = {sd:g}: expected at least "
+                    f"{least:.2g}; leave it out where {known}"
                 )
         left_out = np.array([sd is None for sd in given])
-        measured = np.concatenate([[False, False], self.measured.any(axis=0)])
-        self.estimated = left_out & measured
+        self.estimated = left_out & np.concatenate([[False, False], self.measured.any(axis=0)])
         self.floor = _FLOOR * guess
         guess[:2] = 0.0  # slip and load count as exact
-        self.noise = np.where(left_out, guess, np.array(given, dtype=float))
+        self.noise = np.where(left_out, guess, np.array(given, float))
         #: [5] degrees of freedom behind each noise; infinite until the noise is estimated.
         self.freedom = np.full(5, math.inf)
 
@@ -257,8 +255,12 @@ class TableProblem:
         """
         if self._processes is None:
             radius, width, _ = self.corrected.wheels.T
-            at = {"slip": self.corrected.slip, "load": self.corrected.load}
-            at |= {"wheel_radius": radius, "wheel_width": width}
+            at = {
+                "slip": self.corrected.slip,
+                "load": self.corrected.load,
+                "wheel_radius": radius,
+                "wheel_width": width,
+            }
             self._processes = [Process.over(at, most=_FUNCTIONS, lengths=x) for x in LAW_LENGTHS]
         return self._processes
 
@@ -447,16 +449,14 @@ class TableProblem:
         """
         low, high = self.bounds
         inside = _INSIDE * (high - low)
-        start = np.clip(u, low + inside, high - inside)
-        found = most_probable(
+        return most_probable(
             self.whiten(self.target()),
             lambda x: self.whiten(self.predict(x)),
             self.derivatives,
-            start,
+            np.clip(u, low + inside, high - inside),
             self.bounds,
             **(FINE | options),
-        )
-        return found[:2]
+        )[:2]
 
     def search(self) -> np.ndarray:
         """Best least-squares solution u [p] from `_STARTS` starts; the weights are set at it.
@@ -466,17 +466,18 @@ class TableProblem:
         of that of the prior mean: the median load shows that pressure, whatever n is.
         """
         rng = np.random.default_rng(0)
-        starts = [np.zeros(len(self.unknowns))]
+        unknowns = self.unknowns
+        starts = [np.zeros(len(unknowns))]
         names = [k.name for k in self.soil]
         for _ in range(_STARTS - 1):
-            u = np.zeros(len(self.unknowns))
+            u = np.zeros(len(unknowns))
             u[: len(names)] = rng.uniform(-1.0, 1.0, len(names))
             u = np.clip(u, *self.bounds)
             if {"sinkage_coefficient", "sinkage_exponent"} <= set(names):
                 s = names.index("sinkage_coefficient")
                 n = names.index("sinkage_exponent")
-                n_off = self.unknowns[n].sd * u[n]
-                u[s] = (rng.uniform(-1.0, 1.0) - n_off * math.log(self.z_ref)) / self.unknowns[s].sd
+                n_off = unknowns[n].sd * u[n]
+                u[s] = (rng.uniform(-1.0, 1.0) - n_off * math.log(self.z_ref)) / unknowns[s].sd
             starts.append(u)
         best = min((self.minimise(u) for u in starts), key=lambda found: found[1])[0]
         self.weigh(self.by_conditions(best))
@@ -491,10 +492,9 @@ class TableProblem:
         B = (F, I). eps is regressed on e with the gain diag(variances) B' V^-1.
         """
         e = self.residual(u)
-        j = self.by_unknowns(u)
         B = np.concatenate([self.F, np.broadcast_to(np.eye(3), (len(e), 3, 3))], axis=2)
         gain = self.variances[:, :, None] * np.swapaxes(np.linalg.solve(self.V, B), 1, 2)
-        by_u = np.einsum("kjc,kcp->kjp", gain, j)
+        by_u = np.einsum("kjc,kcp->kjp", gain, self.by_unknowns(u))
         shared = np.einsum("kjc,kcj->kj", gain, B) * self.variances
         # Covariance of the unknowns, linearised at u: inverse of the normal matrix with the priors.
         whitened = self.derivatives(u)
@@ -514,11 +514,10 @@ class TableProblem:
             twice = form_error.whitened(self.form_error, whitened).reshape(-1, 3)
             solved = np.einsum("kdc,kd->kc", self._whitener, twice)
             slip, load = (self.noise[:2] ** 2 * np.einsum("kcj,kc->kj", self.F, solved)).T
-            load = np.clip(
-                self.rows.load + load, _LEAST_LOAD * self.rows.load, _MOST_LOAD * self.rows.load
-            )
-            slip = np.clip(self.rows.slip + slip, -1.0, 1.0)
-            self._take_conditions(self.rows._replace(slip=slip, load=load))
+            rows = self.rows
+            load = np.clip(rows.load + load, _LEAST_LOAD * rows.load, _MOST_LOAD * rows.load)
+            slip = np.clip(rows.slip + slip, -1.0, 1.0)
+            self._take_conditions(rows._replace(slip=slip, load=load))
         self.weigh(self.by_conditions(u))
 
     def update_noise(self, u: np.ndarray) -> None:

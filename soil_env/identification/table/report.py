@@ -56,8 +56,7 @@ def text_of(estimate: TableEstimate) -> str:
         f"{estimate.values} measured values, condition number {estimate.condition:.3g}{hardly}",
     ]
     said = (*estimate.check_first, estimate.misfit)
-    rest = (warning for warning in estimate.warnings if warning not in said)
-    return "\n".join([*parts, *(f"! {warning}" for warning in rest)])
+    return "\n".join([*parts, *(f"! {w}" for w in estimate.warnings if w not in said)])
 
 
 def _soil_table(estimate: TableEstimate) -> Table:
@@ -89,13 +88,11 @@ def _channel_table(estimate: TableEstimate) -> Table:
     """
     rows = []
     for name, fit in estimate.fits.items():
-        noise = f"{fit.noise:.3g} {fit.unit}" + (" (estimated)" if fit.estimated else "")
-        count = np.sum(np.isfinite(fit.measured))
         rows.append(
             (
                 name.replace("_", " "),
-                count,
-                noise,
+                np.sum(np.isfinite(fit.measured)),
+                f"{fit.noise:.3g} {fit.unit}" + (" (estimated)" if fit.estimated else ""),
                 f"{fit.rms:.3g} {fit.unit}",
                 f"{fit.rms_over_noise:.2f}",
             )
@@ -151,11 +148,10 @@ def picture(estimate: TableEstimate) -> bytes:
             slip = estimate.slip[order]
             line = "-" if few and np.all(np.diff(slip) > ONE_SLIP) else "x"
             top.plot(slip, scale * fit.fitted[order], line, color=color, lw=1.2, label=label)
-            bar = scale * HALF_WIDTH * fit.noise * fit.relative[order]
             top.errorbar(
                 slip,
                 scale * fit.measured[order],
-                bar,
+                scale * HALF_WIDTH * fit.noise * fit.relative[order],
                 fmt="o",
                 ms=3.5,
                 lw=0.9,

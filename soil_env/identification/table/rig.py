@@ -68,9 +68,10 @@ def predict_table(
     if k_c is not None and k_phi is not None:
         factors = np.ones((rows.slip.size, len(BY_ROW))) if factors is None else factors.copy()
         usual = lumped_coefficient(k_c.value, k_phi.value, setup.wheel.width)
-        for width in np.unique(rows.wheels[:, 1]):
+        widths = rows.wheels[:, 1]
+        for width in np.unique(widths):
             s = lumped_coefficient(k_c.value, k_phi.value, width)
-            factors[rows.wheels[:, 1] == width, -1] *= s / usual
+            factors[widths == width, -1] *= s / usual
     out = np.empty((rows.slip.size, 3))
     # Code would be compiled anew for arrays that are not C-contiguous, or are read-only.
     rows = Rows(*(a if a.flags.carray else np.require(a, requirements=["C", "W"]) for a in rows))
