@@ -285,21 +285,12 @@ def odds_factors(setup: Setup, bench: Bench) -> dict[str, float]:
     """Factors on the prior odds of the errors of a rig, by name: 1 if the setup states nothing.
 
     A rig that is known five times better than usual is wrong a fifth as often, since somebody
-    looked. One that is known worse keeps the usual odds. Raises `ParameterError` for a stated zero
-    error of the pull above the median load, or of the torque above this load times the radius.
+    looked. One that is known worse keeps the usual odds.
     """
     own, usual = (
-        sd_of_errors(x, bench.load, bench.radius) for x in (setup.calibration, Calibration())
+        sd_of_errors(x, bench.load, bench.radius, setup.source)
+        for x in (setup.calibration, Calibration())
     )
-    for name, most, limit in (
-        ("force_offset", bench.load, "the median load"),
-        ("torque_offset", bench.load * bench.radius, "the median load times the radius"),
-    ):
-        if own[name] > most:
-            raise ParameterError(
-                f"{setup.source}: calibration.{name} = {own[name]:g}: expected at most {most:.3g}, "
-                f"{limit}"
-            )
     return {name: min(own[name] / usual[name], 1.0) for name in INSTRUMENT}
 
 

@@ -221,7 +221,8 @@ class Calibration(Checked):
     (`offset`) that is None is 0.3 % of the median load (times the radius for torque). A crosstalk
     is the share of the other force that a sensor reads. `arm_load` is the share of torque/radius
     that loads the wheel. `spring_load` is the rate of a spring that loads it; None is a tenth of
-    the median load over the radius. Both commands take them as errors of the rig.
+    the median load over the radius. Identification fits those of single
+    sensors and of the level, discovery all.
     """
 
     tilt_deg: float = quantity("deg", 0.0, STEEPEST_TILT, default=0.5)

@@ -13,10 +13,12 @@ from scipy.optimize import brentq
 
 from soil_env._io.loading import ParameterError
 from soil_env.identification.table import identify_table
-from soil_env.identification.table.calibration import EXACT, SENSORS, reading, sensor_unknowns
+from soil_env.identification.table.calibration import EXACT, SENSORS, sensor_unknowns
 from soil_env.identification.table.problem import TableProblem
 from soil_env.identification.table.report import text_of
 from soil_env.measurement.setup import Calibration, Prior
+from soil_env.parameters import Soil
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.steady import Rows, _predict_rows
 from tests.identification import test_table as tables
 from tests.identification.test_table import (
@@ -173,17 +175,15 @@ def test_rows_that_nobody_may_write_to_compile_nothing_anew(tmp_path):
     assert len(_predict_rows._function.overloads) == versions
 
 
-def conditions():
-    """`Rows` of the table `clean`."""
-    slip, load = clean()[:, :2].T
-    wheel = [tables.WHEEL.radius, tables.WHEEL.width, 0.0]
-    return Rows(slip.copy(), load.copy(), np.tile(wheel, (len(slip), 1)), np.zeros((len(slip), 3)))
-
-
-def misread(values):
-    """Rows as `clean`, read by sensors with these parameters of `SENSORS`."""
+def misread(tilt=0.0, force=(0.0, 0.0, 0.0), torque=(0.0, 0.0, 0.0)):
+    """Rows as `clean`, read by a rig with a `tilt` [deg] and sensors with a zero [N or N m], a gain
+    and a crosstalk.
+    """
     rows = clean().copy()
-    rows[:, 2:] = reading(rows[:, 2:], values, conditions())
+    _, load, _, pull, moment = clean().T
+    rows[:, 3] = force[0] + (1.0 + force[1]) * pull + force[2] * moment / tables.WHEEL.radius
+    rows[:, 3] -= load * math.sin(math.radians(tilt))
+    rows[:, 4] = torque[0] + (1.0 + torque[1]) * moment + torque[2] * pull * tables.WHEEL.radius
     return rows
 
 
@@ -196,8 +196,10 @@ def test_what_a_calibration_allows_is_no_misfit(tmp_path):
     off = {"usual": [], "exact": []}
     for seed in range(8):
         rng = np.random.default_rng([20261130, seed])
-        errors = {x.name: rng.normal(0.0, x.sd) for x in sensor_unknowns(usual, LOADS[1], 0.15)}
-        t = table_of(tmp_path, misread(errors), rng)
+        errors = [rng.normal(0.0, x.sd) for x in sensor_unknowns(usual, LOADS[1], 0.15)]
+        tilt, zero, gain, torque_zero, torque_gain, share, torque_share = errors
+        force = (zero, gain, share)
+        t = table_of(tmp_path, misread(tilt, force, (torque_zero, torque_gain, torque_share)), rng)
         for name, setup in (("usual", usual), ("exact", setup_of())):
             e = identify_table(t, setup)
             fits[name] += not e.misfit
@@ -207,16 +209,42 @@ def test_what_a_calibration_allows_is_no_misfit(tmp_path):
     assert np.std(off["usual"]) < 0.9 * np.std(off["exact"])
 
 
-def test_a_sensor_beyond_its_calibration_is_said_first(tmp_path):
+def test_a_sensor_beyond_its_calibration_is_no_fit(tmp_path):
     """A gain that is off by ten standard deviations; within two it is fitted and not doubted."""
     usual = setup_of(calibration=Calibration())
     for gain, doubted in ((0.2, True), (0.03, False)):
-        t = table_of(tmp_path, misread({"force_gain_gain": gain}), np.random.default_rng(0))
+        t = table_of(tmp_path, misread(force=(0.0, gain, 0.0)), np.random.default_rng(0))
         e = identify_table(t, usual)
-        assert any("the force gain would be" in words for words in e.check_first) == doubted
+        assert ("times the calibration of the rig" in e.misfit) == doubted
+        assert any("the force gain would be" in words for words in e.warnings) == doubted
         assert e.rig["force gain"] > 0.5 and max(e.rig, key=e.rig.get) == "force gain"
         assert f"force gain +{e.rig['force gain']:.1f}" in text_of(e)
     assert identify_table(t, setup_of()).rig == {}
+
+
+def test_a_rig_that_would_have_to_err_too_much_hides_no_effect(tmp_path):
+    """Bulldozing on an exact rig: zeros and tilt take it up, further than a calibration allows."""
+    model = WheelSoilModel(
+        ModelWheel(tables.WHEEL.radius, tables.WHEEL.width),
+        Soil(**SAND._asdict(), source="here"),
+        {"bulldozing": {"rankine": 1.0}},
+    )
+    slip, load = clean()[:, :2].T
+    found = model.predict({"slip": slip, "load": load})
+    rows = np.column_stack([slip, load, *found[:3]])
+    setup = replace(tables.setup_of(), calibration=Calibration())
+    e = tables.estimate(tmp_path, rows, setup, np.random.default_rng(0))
+    assert "times the calibration of the rig" in e.misfit and "soil-env discover" in e.misfit
+
+
+def test_a_wheel_that_climbs_by_itself_reads_no_pull(tmp_path):
+    """Zeros and gains of a force sensor do not matter where no force is measured, a level does."""
+    usual = setup_of(calibration=Calibration(), load="vertical")
+    rows = [(s, 100.0, g, 0.02, 0.0, 5.0) for s, g in ((0.2, 5.0), (0.3, 8.0), (0.4, 9.0))]
+    problem = TableProblem(table_of(tmp_path, rows, columns=ON_GRADES), usual)
+    assert [x.name for x in problem.rig] == [
+        name for name in SENSORS.values() if not name.startswith("force")
+    ]
 
 
 def test_only_errors_that_are_not_ruled_out_are_unknown():

@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from soil_env._io.loading import ParameterError
 from soil_env.measurement.setup import Calibration, Setup
 from soil_env.terramechanics.model import Rows
 
@@ -43,16 +44,30 @@ def stated_errors(calibration: Calibration) -> dict[str, float | None]:
     return {"tilt": stated.pop("tilt_deg"), **stated}
 
 
-def sd_of_errors(calibration: Calibration, load: float, radius: float) -> dict[str, float]:
+def sd_of_errors(
+    calibration: Calibration, load: float, radius: float, where: str = ""
+) -> dict[str, float]:
     """Standard deviation by name of each error of a rig with a median `load` [N] on a wheel of this
     `radius` [m]: as `stated_errors`, else the usual share of the load.
+
+    `ParameterError`, beginning with `where`, for a stated zero of the pull above the load, or of
+    the torque above load times radius.
     """
     usual = {
         "force_offset": LEAST_OFFSET * load,
         "torque_offset": LEAST_OFFSET * load * radius,
         "spring_load": LEAST_SPRING * load / radius,
     }
-    return {name: usual[name] if x is None else x for name, x in stated_errors(calibration).items()}
+    stated = stated_errors(calibration).items()
+    spread = {name: usual[name] if x is None else x for name, x in stated}
+    for name in ("force_offset", "torque_offset"):
+        most = usual[name] / LEAST_OFFSET
+        if spread[name] > most:
+            raise ParameterError(
+                f"{where}: calibration.{name} = {spread[name]:g}: expected at most {most:.3g}, the "
+                "median load (of the torque times the radius)"
+            )
+    return spread
 
 
 def sensor_unknowns(setup: Setup, load: float, radius: float) -> tuple[Unknown, ...]:
@@ -62,7 +77,7 @@ def sensor_unknowns(setup: Setup, load: float, radius: float) -> tuple[Unknown, 
     the tilt where the setup has one of its own.
     """
     known = {*setup.checked} | ({"tilt"} if setup.tilt_deg is not None else set())
-    spread = sd_of_errors(setup.calibration, load, radius)
+    spread = sd_of_errors(setup.calibration, load, radius, setup.source)
     return tuple(
         Unknown(parameter, 0.0, sd, -_FARTHEST * sd, _FARTHEST * sd, log=False)
         for name, parameter in SENSORS.items()
@@ -75,7 +90,7 @@ def reading(out: np.ndarray, values: Values, rows: Rows) -> np.ndarray:
     `SENSORS` among `values`. The sinkage is read as it is.
 
     Crosstalk is a share of the other sensor's true value. A `tilt` [deg] takes load times its sine
-    off the pull; what it takes off the load is of second order.
+    off the pull; that it changes the load on the ground too is left out.
     """
     if {*values}.isdisjoint(SENSORS.values()):
         return out

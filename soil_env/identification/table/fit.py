@@ -44,6 +44,8 @@ LABELS = {
 }
 #: Labels of single parameters of the setup: S itself, where `LABELS` has S z^n of the correlations.
 _SINGLE = LABELS | {"sinkage_coefficient": "sinkage coefficient S"}
+#: Name of what the base model misses where errors of the rig would have to be too large.
+RIG = "calibration of the rig"
 #: Labels of the errors of the rig, by their parameters in `SENSORS`.
 _OF_RIG = {parameter: name.replace("_", " ") for name, parameter in SENSORS.items()}
 SYMBOLS = dict(zip(LABELS.values(), ("phi", "K", "S z^n", "n", "c", "tilt"), strict=True))
@@ -156,7 +158,7 @@ class TableEstimate:
     #: [f, f] of the f fitted among (phi [rad], ln K, ln S z_ref^n, n, c [Pa], tilt [deg]).
     covariance: np.ndarray
     correlation: np.ndarray  # [f, f]
-    condition: float  # of the whitened Jacobian in units of the prior sd
+    condition: float  # of the whitened Jacobian by the soil in units of the prior sd
     reference_sinkage: float  # z_ref [m], median sinkage; of the fitted ones if none was measured
     fits: dict[str, ChannelFit]  # of the measured channels, and of the load if it has noise
     row: np.ndarray  # [N] lines of the table
@@ -164,8 +166,8 @@ class TableEstimate:
     load: np.ndarray  # [N] in newtons
     values: int  # number of measured values
     exact: tuple[str, ...]  # of slip and load, what the setup gives no noise for
-    #: Most probable error of the rig over its standard deviation, by label; those of `SENSORS` that
-    #: the setup has not ruled out.
+    #: Most probable error of the rig over its standard deviation, were the laws exact, by label;
+    #: those of `SENSORS` that the table may show and the setup has not ruled out.
     rig: dict[str, float]
     converged: bool
     law_error: float  # relative error of the stress laws that the table suggests, root mean square
@@ -229,18 +231,21 @@ def identify_table(table: Table, setup: Setup, *, check: bool = True) -> TableEs
         # The fit under noise alone, without errors of the laws, shows if the base model is enough.
         u, converged = _settle(problem, problem.search())
         plain = _fits(problem, u)
-        missed = _missed(problem, plain, examined.noise)
+        missed = _missed(problem, u, plain, examined.noise)
         if missed and examined.noise is not None:
             problem.take_noise(examined.noise)
             u, converged = _settle(problem, u, False)
             plain = _fits(problem, u)
         off_prior = _off_prior(problem, u)
+        rig = zip(
+            (_OF_RIG[x.name] for x in problem.rig), u[len(problem.soil) :].tolist(), strict=True
+        )
         for _ in range(_FORM_PASSES):
             problem.allow_form_error(u, LAW_ERRORS[np.argmax(problem.by_law_error(u)[0])])
             u, converged = _settle(problem, u, False)
         if not problem.measured[:, 0].any():
             problem.z_ref = float(np.median(problem.steady(u, problem.corrected)[:, 0]))
-        return _summary(problem, u, converged, plain, off_prior, missed, examined, dense)
+        return _summary(problem, u, converged, plain, off_prior, dict(rig), missed, examined, dense)
 
 
 def _settle(
@@ -291,16 +296,17 @@ def _summary(
     converged: bool,
     plain: Fits,
     off_prior: list[tuple[float, str]],
+    rig: dict[str, float],
     missed: dict[str, float],
     examined: Examined,
     dense: str,
 ) -> TableEstimate:
     """The estimate from the solution u, with its intervals over all `LAW_ERRORS` and its warnings.
 
-    `plain` and `off_prior` are of the solution under noise alone: its fits and what `_off_prior`
-    says of it. `missed`: misfit of the channels that it misses (`_missed`). `dense`: words on bins,
-    "" for a table without. The covariance is about u, which is the estimate, and not about the mean
-    over the `LAW_ERRORS`, which differs from u.
+    `plain`, `off_prior` and `rig` are of the solution under noise alone: its fits, what
+    `_off_prior` says of it, and its errors of the rig. `missed`: misfit of the channels that it
+    misses (`_missed`). `dense`: words on bins, "" for a table without. The covariance is about u,
+    which is the estimate, and not about the mean over the `LAW_ERRORS`, which differs from u.
     """
     scaling = _derivatives(problem)
     free = [name for name in LABELS if np.any(scaling[name])]
@@ -358,10 +364,7 @@ def _summary(
         load=problem.rows.load,
         values=int(problem.measured.sum()),
         exact=exact,
-        rig={
-            _OF_RIG[x.name]: float(off)
-            for x, off in zip(problem.rig, u[len(problem.soil) :], strict=True)
-        },
+        rig=rig,
         converged=converged,
         law_error=law_error,
         check_first=tuple(first),
@@ -564,15 +567,26 @@ def _doubts(
     return words
 
 
-def _missed(problem: TableProblem, plain: Fits, noise: NoiseEstimate | None) -> dict[str, float]:
+def _missed(
+    problem: TableProblem, u: np.ndarray, plain: Fits, noise: NoiseEstimate | None
+) -> dict[str, float]:
     """Misfit over the noise of each channel that the base model misses by more than chance
-    (`MISSED`, `FOLLOWS`); `plain`: its fits under noise alone.
+    (`MISSED`, `FOLLOWS`); of `RIG`, errors of the rig over what its calibration allows. u [p] and
+    `plain`: its solution and fits under noise alone.
+
+    Errors of the rig that are too large take up what the model misses. Under their prior the sum of
+    their squares is at most chi-squared, with the degrees of freedom that the table leaves them.
 
     A given noise is compared with the residuals. An estimated noise has taken up the misfit. So it
     is compared with the scatter about a smooth surface, `noise` (F test), where the table was
     examined. A channel is also missed if its residuals follow slip and load.
     """
     out = {}
+    of_rig = slice(len(problem.soil), None)
+    square = np.sum(u[of_rig] ** 2)
+    freedom = np.sum(1.0 - np.diag(problem.covariance(u))[of_rig])
+    if square > 0.0 and chdtrc(freedom, square) < MISSED:
+        out[RIG] = math.sqrt(square / freedom)
     for name, fit in plain.items():
         ratio = fit.rms_over_noise
         if not fit.estimated:
@@ -606,7 +620,8 @@ def _misfit(
     if not missed:
         return ""
     sizes = " and ".join(
-        f"{ratio:.2g} times the noise of {name.replace('_', ' ')}" for name, ratio in missed.items()
+        f"{ratio:.2g} times the {'' if name == RIG else 'noise of '}{name.replace('_', ' ')}"
+        for name, ratio in missed.items()
     )
     keys = " and ".join(f"noise.{name}" for name in exact)
     also = f" If {' and '.join(exact)} scatter, give {keys}." if exact else ""

@@ -26,7 +26,7 @@ from threadpoolctl import threadpool_limits
 
 from soil_env._io.loading import ParameterError
 from soil_env.measurement.doubts import load_doubt
-from soil_env.measurement.setup import Setup
+from soil_env.measurement.setup import Calibration, Setup
 from soil_env.measurement.table import Table, look_like_radians
 from soil_env.parameters import EARTH_GRAVITY
 from soil_env.terramechanics.model import Rows
@@ -248,7 +248,8 @@ def _problem(
     Both are of the channels of the table as it is, in its units.
 
     Fewer values than unknowns are refused unless `scarce`: the priors are enough to compare
-    readings and rows. The rig counts as exact: mistakes are far larger than its errors.
+    readings and rows. A rig whose calibration is not stated counts as exact: mistakes are far
+    larger than its usual errors.
     """
     order = list(reading.source)
     there = reading.table.with_values(used[:, order])
@@ -260,7 +261,10 @@ def _problem(
         for j, name in enumerate(CHANNELS)
     }
     noise = dataclasses.replace(reading.setup.noise, **levels)
-    setup = reading.setup.changed(noise=noise, calibration=EXACT)
+    stated = reading.setup.calibration
+    setup = reading.setup.changed(
+        noise=noise, calibration=EXACT if stated == Calibration() else stated
+    )
     # all rows: `usable_rows` would refuse some readings
     return TableProblem(there, setup, np.ones(len(there), bool), scarce=scarce)
 
@@ -301,7 +305,7 @@ def _noise(data: Data, fit: _Fit) -> NoiseEstimate:
     def surface(rows: Rows) -> np.ndarray:
         """Values [N, 3] of the fit in units, signs and columns of the table as it is."""
         model = np.zeros_like(data.y)
-        found = fit.problem.steady(fit.u, rows) / reading.scale
+        found = fit.problem.read(fit.u, rows) / reading.scale
         model[:, list(reading.source)] = finite(found)
         if reading.name == "pull":  # its values have another sign, its `scale` is 1
             model[:, 1] *= -1.0
@@ -732,7 +736,7 @@ def _goes_on(data: Data, row: int, rest: _AsIs) -> bool:
     misses what grows with slip.
     """
     group = np.flatnonzero(data.group == data.group[row])
-    model = rest.fit.problem.steady(rest.fit.u, data.rows)[row]
+    model = rest.fit.problem.read(rest.fit.u, data.rows)[row]
     off = (data.y[row] - model) / (rest.noise.sd * data.relative_sd[row])
     if not np.any(np.isfinite(off)):
         return False
@@ -777,7 +781,7 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
         in place of its slip or load.
         """
         many = Rows(*(np.repeat(column, values.size, axis=0) for column in here))
-        out = others.problem.steady(others.u, many._replace(**{name: values}))[:, known]
+        out = others.problem.read(others.u, many._replace(**{name: values}))[:, known]
         return finite((y - out) / allowed, NO_VALUE)
 
     off = np.abs(residuals("load", here.load)[0])

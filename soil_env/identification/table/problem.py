@@ -187,8 +187,15 @@ class TableProblem:
         sinkage = self.y[:, 0]
         self.z_ref = middle_sinkage(sinkage, setup.wheel.radius)
         self.soil, self.known = soil_unknowns(setup, self.rows.load, sinkage)
-        #: Errors of the rig, unknowns after those of the soil.
-        self.rig = sensor_unknowns(setup, float(np.median(self.rows.load)), setup.wheel.radius)
+        #: Errors of the rig that the table may show, unknowns after those of the soil.
+        load = float(np.median(self.rows.load))
+        # A pull of 0 throughout is no reading but of the level: the wheel climbs by itself.
+        read = np.nan_to_num(self.y).any(axis=0)
+        self.rig = tuple(
+            x
+            for x in sensor_unknowns(setup, load, setup.wheel.radius)
+            if read[2 if x.name.startswith("torque") else 1] or x.name == "tilt"
+        )
         self.unknowns = (*self.soil, *self.rig)
         self.bounds = bounds_of(self.unknowns)
         self._set_noise()
@@ -483,6 +490,13 @@ class TableProblem:
         self.weigh(self.by_conditions(best))
         return best
 
+    def covariance(self, u: np.ndarray) -> np.ndarray:
+        """Covariance [p, p] of the whitened unknowns, linearised at u: the inverse of the normal
+        matrix with the priors.
+        """
+        whitened = self.derivatives(u)
+        return np.linalg.inv(np.eye(u.size) + whitened.T @ whitened)
+
     def errors(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(most probable errors [N, 5] of `SOURCES` under u, their expected squares [N, 5] at the
         true unknowns, and the same at u), in the units of the sources.
@@ -496,10 +510,7 @@ class TableProblem:
         gain = self.variances[:, :, None] * np.swapaxes(np.linalg.solve(self.V, B), 1, 2)
         by_u = np.einsum("kjc,kcp->kjp", gain, self.by_unknowns(u))
         shared = np.einsum("kjc,kcj->kj", gain, B) * self.variances
-        # Covariance of the unknowns, linearised at u: inverse of the normal matrix with the priors.
-        whitened = self.derivatives(u)
-        covariance = np.linalg.inv(np.eye(u.size) + whitened.T @ whitened)
-        left = shared - np.einsum("kjp,pq,kjq->kj", by_u, covariance, by_u)
+        left = shared - np.einsum("kjp,pq,kjq->kj", by_u, self.covariance(u), by_u)
         return np.einsum("kjc,kc->kj", gain, e), shared, left
 
     def correct(self, u: np.ndarray) -> None:

@@ -42,7 +42,7 @@ def text_of(estimate: TableEstimate) -> str:
         parts.append(f"{' and '.join(estimate.exact)} taken as exact ({keys} not given)")
     if estimate.rig:
         off = ", ".join(f"{name} {round(x, 1) + 0.0:+.1f}" for name, x in estimate.rig.items())
-        parts.append(f"errors of the rig [sd of its calibration]: {off}")
+        parts.append(f"errors of the rig, were the laws exact [sd of its calibration]: {off}")
     if len(estimate.free) > 1:
         rows = zip(estimate.free, estimate.correlation, strict=True)
         grid = Table(
