@@ -130,11 +130,11 @@ def test_the_soil_of_identify_is_not_recommended_where_identify_refuses_the_tabl
         values = np.tile(np.isin(np.arange(3), kept), (len(planted.problem.data.table), 1))
         table = planted.problem.data.table.with_values(values)
         there = with_setup(of_data(report, table=table), soil=SoilPriors())
-        told = sentences.simulate(there)
+        told = sentences.simulate_with(there)
         assert ("identify" in told) == said and ("plain curve" in told) != said
     all_known = dataclasses.replace(report.problem)
     all_known.soil = ()
-    assert "identify" not in sentences.simulate(dataclasses.replace(report, problem=all_known))
+    assert "identify" not in sentences.simulate_with(dataclasses.replace(report, problem=all_known))
 
 
 def test_a_table_of_two_rows_has_a_report(tmp_path):
