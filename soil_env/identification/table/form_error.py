@@ -108,7 +108,7 @@ class Process:
         *,
         of: Sequence[str] | None = None,
         additive: bool = False,
-        most: int,
+        most: int = 40,
         lengths: Mapping[str, float] = LENGTHS,
     ) -> "Process":
         """The process over the coordinates in `lengths` (and in `of`, unless None) whose condition
