@@ -237,15 +237,14 @@ def identify_table(table: Table, setup: Setup, *, check: bool = True) -> TableEs
             u, converged = _settle(problem, u, False)
             plain = _fits(problem, u)
         off_prior = _off_prior(problem, u)
-        rig = zip(
-            (_OF_RIG[x.name] for x in problem.rig), u[len(problem.soil) :].tolist(), strict=True
-        )
+        labels = (_OF_RIG[x.name] for x in problem.rig)
+        rig = dict(zip(labels, u[len(problem.soil) :].tolist(), strict=True))
         for _ in range(_FORM_PASSES):
             problem.allow_form_error(u, LAW_ERRORS[np.argmax(problem.by_law_error(u)[0])])
             u, converged = _settle(problem, u, False)
         if not problem.measured[:, 0].any():
             problem.z_ref = float(np.median(problem.steady(u, problem.corrected)[:, 0]))
-        return _summary(problem, u, converged, plain, off_prior, dict(rig), missed, examined, dense)
+        return _summary(problem, u, converged, plain, off_prior, rig, missed, examined, dense)
 
 
 def _settle(
@@ -611,11 +610,11 @@ def _misfit(
     law_error: float,
     fits: Fits,
 ) -> str:
-    """Sentences on a base model that does not fit; "" where no channel is `missed`.
+    """Sentences on a base model that does not fit; "" where nothing is `missed`.
 
-    They say which channels it misses by how much, and what the intervals then hold. They also say
-    what noise to give of `exact` conditions, and whether the soil of these `fits` predicts badly
-    (`MUCH_WORSE`).
+    They say which channels it misses by how much, or how far the rig would be off, and what the
+    intervals then hold. They also say what noise to give of `exact` conditions, and whether the
+    soil of these `fits` predicts badly (`MUCH_WORSE`).
     """
     if not missed:
         return ""

@@ -187,10 +187,10 @@ class TableProblem:
         sinkage = self.y[:, 0]
         self.z_ref = middle_sinkage(sinkage, setup.wheel.radius)
         self.soil, self.known = soil_unknowns(setup, self.rows.load, sinkage)
-        #: Errors of the rig that the table may show, unknowns after those of the soil.
         load = float(np.median(self.rows.load))
         # A pull of 0 throughout is no reading but of the level: the wheel climbs by itself.
         read = np.nan_to_num(self.y).any(axis=0)
+        #: Errors of the rig that the table may show, unknowns after those of the soil.
         self.rig = tuple(
             x
             for x in sensor_unknowns(setup, load, setup.wheel.radius)
@@ -347,8 +347,8 @@ class TableProblem:
 
     def target(self) -> np.ndarray:
         """Measured values [N, 3] less F times the errors of slip and load (measured less
-        corrected), which is what the model
-        at the corrected conditions has to meet; 0 where not measured.
+        corrected), which is what the model at the corrected conditions has to meet; 0 where not
+        measured.
         """
         off = np.stack(
             [self.rows.slip - self.corrected.slip, self.rows.load - self.corrected.load], axis=1
