@@ -162,7 +162,7 @@ def controllers_as(option: str) -> Iterator[None]:
 
 @contextmanager
 def continued_by(command: str, folder: Path) -> Iterator[None]:
-    """Inside the block the message of an interrupt gets the `command` that continues the work; an
+    """Inside the block an interrupt gets the `command` that continues the work as its message; an
     error of `_FAILURES` gets it as a note if work is done in `folder`.
     """
     try:

@@ -146,7 +146,7 @@ class TrainConfig(OfWorld):
         "", 0.0, 1.0, default=0.225, doc="share of them as a student of best_slip_true, then PPO"
     )
     teacher_penalty: float = quantity(
-        "", 0.0, 100.0, default=0.02, doc="for leaving the teacher, at first"
+        "", 0.0, 100.0, default=0.02, doc="of a student for leaving the teacher, at first"
     )
     checkpoint_every: int = quantity(
         "", 1, 10**12, default=500_000, doc="environment steps between checkpoints"

@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 
 from soil_env.parameters import RoverScenario, Scenario
 from soil_env.terramechanics.effects import CATALOGUE
-from soil_env.terramechanics.effects.entry import Effect, EffectParameter
+from soil_env.terramechanics.effects.entry import Bench, Effect
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 from . import common_layout
@@ -75,8 +75,8 @@ def side_by_side(parts: Sequence[CourseVecEnv], config: PPOConfig, seed: int) ->
     """The `parts`, of one observation layout, as one vector environment with wrappers.
 
     From the inside: `TeacherPenalty`; the history, where `config.history` is above 0;
-    `ChoiceVecEnv`, where routes can be chosen; SB3's normalisation of observations and rewards.
-    Wheel k has seed `seed` + k.
+    `ChoiceVecEnv`, where routes can be chosen; SB3's normalisation of observations and rewards,
+    with the same moments for both routes (`Moments`). Wheel k has seed `seed` + k.
     """
     wheels = TeacherPenalty(parts[0] if len(parts) == 1 else SeveralWorlds(parts))
     if config.history:
@@ -106,7 +106,10 @@ class CommonVecEnv(SoilWheelVecEnv):
 
 
 class Moments(RunningMeanStd):
-    """Running mean and variance of each entry; the two routes ahead have those of both together."""
+    """Running mean and variance of each entry; the two routes ahead have those of both together.
+
+    `routes`: indices of the entries of each route, in the same order; empty without a choice.
+    """
 
     def __init__(self, shape: tuple[int, ...], routes: Sequence[list[int]]):
         super().__init__(shape=shape)
@@ -124,16 +127,18 @@ class Moments(RunningMeanStd):
 
 
 class SeveralWorlds(NativeVecEnv):
-    """Vector environments of one observation and action space as one; their wheels follow each
-    other.
+    """Vector environments of one observation and action space as one; their wheels are numbered
+    part by part.
     """
 
     def __init__(self, parts: Sequence[VecEnv]):
         self.parts = list(parts)
+        # First: `VecEnv.__init__` asks the owners for `render_mode`.
         self._owner = [part for part in self.parts for _ in range(part.num_envs)]
         super().__init__(
             len(self._owner), self.parts[0].observation_space, self.parts[0].action_space
         )
+        # Index of the first wheel of each part.
         self._starts = np.cumsum([0, *(part.num_envs for part in self.parts)])[:-1].tolist()
 
     def owners(self, indices) -> list[VecEnv]:
@@ -237,8 +242,9 @@ def hidden_worlds(
     by `seed`.
 
     Their effects are `names` in turn. Sizes are drawn evenly within one standard deviation of the
-    prior of the catalogue, and evenly in the logarithm where the prior is log-normal. That is about
-    as much as published laws disagree by. A tyre has no lugs, so no `grousers`.
+    prior that the catalogue has for a driven wheel of this size, evenly in the logarithm where it
+    is log-normal. That is about as much as published laws disagree by. A tyre has no lugs, so no
+    `grousers`.
     """
     rng = np.random.default_rng([seed, count, 7])  # 7: a random stream of its own
     if ModelWheel.of(scenario.wheel).tyre is not None:
@@ -253,22 +259,45 @@ def _drawn(scenario: Scenario, effect: Effect, rng: np.random.Generator) -> Whee
     For `grousers` the wheel has lugs of `_HEIGHT` times the radius.
     """
     form = effect.forms[rng.integers(len(effect.forms))]
-    values = {name: _size(effect.parameter(name), rng) for name in form.free} | dict(form.fixed)
+    bench = _bench(scenario)
+    values = {name: _size(effect, name, bench, rng) for name in form.free} | dict(form.fixed)
     wheel = ModelWheel.of(scenario.wheel)
     if effect.name == "grousers":
         wheel = replace(wheel, grouser_height=_HEIGHT * wheel.radius)
     return WheelSoilModel(wheel, effects={effect.name: values})
 
 
-def _size(p: EffectParameter, rng: np.random.Generator) -> float:
-    """Value of a parameter, drawn evenly within one standard deviation of its prior and within
-    [low, high].
+def _bench(scenario: Scenario) -> Bench:
+    """Sizes that priors of effects scale with, for the driven wheel of a scenario.
 
-    With a `centre` it is drawn about that, evenly in the logarithm. Else it is drawn about
-    `neutral`, where the effect is off.
+    Sinkage and speeds are not known ahead, and count as 0.
     """
-    share = rng.uniform(-1.0, 1.0)
+    radius = scenario.wheel.radius
+    return Bench(
+        radius=radius,
+        load=scenario.weight,
+        pressure=scenario.weight / (radius * scenario.wheel.width),
+        sinkage=0.0,
+        speed=0.0,
+        median_speed=0.0,
+        highest_speed=0.0,
+        sliding=0.0,
+        lowest_slip=0.0,
+        lugs=None,
+        smooth=False,
+    )
+
+
+def _size(effect: Effect, name: str, bench: Bench, rng: np.random.Generator) -> float:
+    """Value of the parameter `name`, drawn evenly within one standard deviation of its prior on
+    this bench and within the bounds of that.
+
+    With a centre it is drawn about that, evenly in the logarithm, and cut to the bounds. Else it is
+    drawn about its neutral value, where the effect is off.
+    """
+    p = effect.parameter(name)
+    sd, low, high = effect.priors(bench).get(name, (p.scale, p.low, p.high))
     if p.centre is not None:
-        return float(np.clip(p.centre * np.exp(p.scale * share), p.low, p.high))
-    low = max(p.low, p.neutral - p.scale)
-    return float(rng.uniform(low, min(p.high, p.neutral + p.scale)))
+        centre = effect.neutral(bench).get(name, p.centre)
+        return float(np.clip(centre * np.exp(rng.uniform(-sd, sd)), low, high))
+    return float(rng.uniform(max(low, p.neutral - sd), min(high, p.neutral + sd)))

@@ -197,8 +197,9 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario)
     return load_agent(folder / MODEL)
 
 
-def _learn(folder: Path, config: TrainConfig, scenario) -> None:
-    """Train as a student of the teacher, then by PPO up to `timesteps`; save model.zip.
+def _learn(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario) -> None:
+    """Train as a student of the teacher if `student` is above 0, then by PPO to at least
+    `timesteps`; save model.zip.
 
     A checkpoint is saved after the student, every `checkpoint_every` steps, and where an interrupt
     or a failed write ends PPO. Where there is a checkpoint PPO goes on from it.
@@ -244,8 +245,9 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
             try:
                 with _naming_tensorboard_folder(folder / "tensorboard"):
                     model.learn(left, callback=calls, reset_num_timesteps=False, tb_log_name="PPO")
-            except (KeyboardInterrupt, OSError, SystemExit):  # rich ends so where nobody reads
-                # The rollout under way is lost: its steps were not learnt from.
+            except (KeyboardInterrupt, OSError, SystemExit):
+                # SystemExit: rich raises it where nobody reads what it prints. The rollout under
+                # way counts as not learnt from.
                 model.num_timesteps = watch.learnt
                 ppo.save(model, checkpoint)
                 raise

@@ -86,10 +86,10 @@ def _to_normal(normals):
     """
     for i in range(8):
         radius = math.sqrt(-2.0 * log(1.0 - normals[0, i]))
-        # Half a turn back brings the angle into the range of `half_sin`; sine and cosine of the
-        # angle change sign.
+        # Half a turn back brings the angle into the range of `half_sin`, and turns the sign of its
+        # sine and cosine: with s and c of half the angle these are -2 s c and 2 s^2 - 1.
         angle = math.pi * (2.0 * normals[1, i] - 1.0)
-        sine = half_sin(angle)
-        cosine = half_cos(angle)
-        normals[0, i] = radius * (2.0 * sine * sine - 1.0)
-        normals[1, i] = radius * (-2.0 * sine * cosine)
+        s = half_sin(angle)
+        c = half_cos(angle)
+        normals[0, i] = radius * (2.0 * s * s - 1.0)
+        normals[1, i] = radius * (-2.0 * s * c)

@@ -213,10 +213,11 @@ def make_folder(folder: Path) -> None:
 
 
 def check_outputs(folder: Path, names: Iterable[str] = ()) -> None:
-    """Raise OSError where files of these `names` could not be written into `folder`; make nothing.
+    """Raise OSError where files of these `names` could not be written into `folder`; nothing is
+    left behind.
 
-    Of a folder that does not exist the nearest one above is tried, by a temporary file. A name may
-    have one folder in it, "plots/a.png". Existing files may be replaced, folders not.
+    The folder, or the nearest one above that exists, is tried by a temporary file. A name may have
+    folders in it, "plots/a.png". Existing files may be replaced, folders not.
     """
     paths = [folder / name for name in names]
     for place in sorted({folder, *(path.parent for path in paths)}):

@@ -162,12 +162,12 @@ def unknown_key(key, known, where: str, said: str = "unknown key") -> ParameterE
     """Return the error for a key that does not exist, with the nearest known name. `said` stands
     before the key.
     """
-    return ParameterError(f"{where}: {said} {key!r}{nearest(key, known)} (known: {_sorted(known)})")
+    return ParameterError(f"{where}: {said} {key!r}{nearest(key, known)} (known: {_listed(known)})")
 
 
 def unknown_value(value, known, where: str = "") -> ParameterError:
     """Return the error for a value that is none of the known ones, with the nearest of them."""
-    expected = f"one of {_sorted(known)}" if known else "none"
+    expected = f"one of {_listed(known)}" if known else "none"
     return ParameterError(
         f"{where}: unknown value {value!r}{nearest(value, known)} (expected {expected})"
     )
@@ -180,7 +180,7 @@ class UnknownKeyword(ParameterError, TypeError):
     """
 
     def __init__(self, key, known=()) -> None:
-        text = f"unexpected keyword argument {key!r}{nearest(key, known)} (known: {_sorted(known)})"
+        text = f"unexpected keyword argument {key!r}{nearest(key, known)} (known: {_listed(known)})"
         super().__init__(text if known else key)  # copying and unpickling pass the message alone
 
 
@@ -228,8 +228,8 @@ def refuse_title(path: Path, lines: Iterable[Sequence[str]], names: Iterable[str
         )
 
 
-def _sorted(known) -> str:
-    """Known names for an error, in alphabetical order."""
+def _listed(known) -> str:
+    """Known names for an error, in alphabetical order with commas between them."""
     return ", ".join(sorted(map(str, known)))
 
 

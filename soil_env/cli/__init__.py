@@ -89,5 +89,5 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def entry() -> None:
-    """Entry point of the installed command."""
+    """Entry point of the installed command and of `python -m soil_env.cli`."""
     leave(main())

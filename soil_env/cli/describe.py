@@ -33,6 +33,11 @@ NO_ROVER = (
     "course.halt_before",
     "wheel.body_mass",
 )
+#: Keys that are no fields of a class (`more_keys`).
+MORE = {
+    "base": "name or file of which the other keys are changes",
+    "preset": "name of a wheel of which the other keys are changes",
+}
 #: Words of a map in place of the default of a key.
 OF_MAP = {
     "wheel.body_mass": "required",
@@ -57,8 +62,6 @@ def command(kind: str) -> None:
     """
     cls, where = KINDS[kind]
     print(f"{kind}: {where}\n")
-    if kind in ("scenario", "rover"):
-        print(f"{'base':{_WIDTH}}  name or file of which the other keys are changes")
     for line in keys_of(cls, NO_ROVER if kind == "rover" else (), OF_MAP if kind == "map" else {}):
         print(line)
 
@@ -66,8 +69,8 @@ def command(kind: str) -> None:
 def keys_of(
     cls: type, without: Collection[str], said: Mapping[str, str], above: str = ""
 ) -> Iterator[str]:
-    """Yield a line for each key of a dataclass, then a heading and the lines of each dataclass in
-    it.
+    """Yield a line for each key of a dataclass, those in `MORE` first, then a heading and the lines
+    of each dataclass in it.
 
     `without`: keys that are left out; `said`: words in place of the default of a key; `above`: path
     of keys before a name, with its dot. A `Prior` has no lines of its own. Its key shows unit and
@@ -76,6 +79,8 @@ def keys_of(
     """
     hints = typing.get_type_hints(cls)
     within: list[tuple[str, type]] = []
+    for name in getattr(cls, "more_keys", ()):
+        yield f"{above + name:{_WIDTH}}  {MORE[name]}"
     for f in dataclasses.fields(cls):
         name = f.name
         if not f.init or above + name in without:

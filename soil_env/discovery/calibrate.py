@@ -406,7 +406,8 @@ class Problem:
     def without(self, rows: np.ndarray) -> Problem:
         """A copy of the problem that does not use the values of `rows` [N, bool].
 
-        Noise, priors and processes of form errors stay those of the whole table.
+        Noise and its freedom, priors, `size` and processes of form errors stay those of the whole
+        table.
         """
         rest = copy.copy(self)
         rest.used = self.used & ~rows[:, None]

@@ -246,7 +246,10 @@ def _nodes(found: Prediction, coarse: float) -> dict[str, np.ndarray]:
 
 @kept
 def groups_at(point: WorkingPoint, soil: SoilState, rim: Rim, gravity: float) -> tuple[float, ...]:
-    """`dimensionless_groups` in the order of `GROUPS`, compiled for a call from Python."""
+    """`dimensionless_groups` in the order of `GROUPS`, compiled for a call from Python.
+
+    `gravity` in m/s2.
+    """
     found: tuple[float, ...] = dimensionless_groups(point, soil, rim, gravity)
     return found
 

@@ -1,8 +1,9 @@
 """Generic curve of a channel y over slip i and load W: what anybody would draw through a table
 without a law of soils.
 
-    y = (W/W0)^p a + (W/W0)^q b [1 - exp(-|i| / (k (W/W0)^m))]        i >= 0, b of its own for i < 0
+    y = (W/W0)^p a + (W/W0)^q b [1 - exp(-|i| / (k (W/W0)^m))]        i >= 0
 
+and with minus the second term for i < 0, with a b of its own if enough rows are braked;
 after the shear curve of Janosi & Hanamoto (1961); W0 is the geometric mean of the loads. The
 amplitudes a and b are linear, k is sought on a grid; where the loads differ, k, p, q and m are
 fitted.
@@ -21,7 +22,7 @@ SLIP_SCALES = np.geomspace(0.03, 3.0, 25)  # [-] k that are tried
 POWERS = np.array([1.0, 1.0, 0.0])  # p, q, m where the loads do not show them, and prior means
 POWER_SD = 0.5  # prior sd of p, q and m
 LEAST_SPAN = 0.25  # of ln W, from which the loads show the powers
-BRAKED = -0.02  # [-] slip below which a row is braked
+BRAKED = -0.02  # [-] slip below which a row counts for `FEWEST_BRAKED`
 FEWEST_BRAKED = 2  # braked rows, from which they have an amplitude of their own
 BEYOND_SCALES = 2.0  # factor by which a fitted k may go beyond `SLIP_SCALES`; own choice
 MOST_CALLS = 40  # of the curve in a fit; own choice

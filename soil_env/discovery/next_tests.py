@@ -111,8 +111,8 @@ def open_checks(ruled_out: Collection[str] = ()) -> tuple[Check, ...]:
 
 
 class PredictedRun(NamedTuple):
-    """A candidate at one run: its probability before it, if one of the candidates is right, and
-    what it predicts, with noise.
+    """A candidate at one run: its probability before the runs, if one of the candidates is right,
+    and what it predicts, with noise.
     """
 
     name: str  # of its effects, with " and " between them
@@ -336,18 +336,20 @@ def _described(
 
 def overlaps(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
     """[K, K, G] exp(-B), with B the Bhattacharyya distance between the normal predictions of two
-    candidates: 1 where they predict the same. `mean` [K, G, m], `cov` [K, G, m, m].
+    candidates at a run: 1 where they predict the same.
+
+    `mean` [K, G, m] and `cov` [K, G, m, m] of K candidates at G runs, in units of the noise.
     """
     count, points = mean.shape[:2]
     out = np.ones((count, count, points))
-    size = np.linalg.slogdet(cov)[1]
+    log_det = np.linalg.slogdet(cov)[1]
     for i in range(count):
         for j in range(i):
-            middle = 0.5 * (cov[i] + cov[j])
+            mean_cov = 0.5 * (cov[i] + cov[j])
             off = mean[i] - mean[j]
-            square = np.sum(off * np.linalg.solve(middle, off[:, :, None])[:, :, 0], axis=1)
+            square = np.sum(off * np.linalg.solve(mean_cov, off[:, :, None])[:, :, 0], axis=1)
             distance = square / 8.0 + 0.5 * (
-                np.linalg.slogdet(middle)[1] - 0.5 * (size[i] + size[j])
+                np.linalg.slogdet(mean_cov)[1] - 0.5 * (log_det[i] + log_det[j])
             )
             out[i, j] = np.exp(-np.maximum(distance, 0.0))
             out[j, i] = out[i, j]

@@ -38,8 +38,8 @@ def problem_at(problem: Problem, conditions: Conditions) -> Problem:
     """
     there = at_conditions(problem, conditions)
     table = problem.data.conditions | problem.data.elapsed
-    ours = _conditions(there)
-    both = {n: np.concatenate([x, ours[n]]) for n, x in table.items()}
+    new = _conditions(there)
+    both = {n: np.concatenate([x, new[n]]) for n, x in table.items()}
 
     def over(names: Sequence[str], lengths: Mapping[str, float] = LENGTHS) -> Process:
         """Process over the conditions `names`, at all distinct rows, old and new."""

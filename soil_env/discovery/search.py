@@ -84,7 +84,8 @@ class Hypothesis:
     probability: float
     score: float  # log evidence less that of the base model, without priors
     evidence: Evidence  # in the most probable of the forms
-    #: Listed effects that its anonymous law resembles: in channels and conditions, not in form.
+    #: Listed effects that it is said to resemble: those that it stands in for, or for an anonymous
+    #: law the one that explains most by itself.
     like: Names = ()
     if_laws_err: tuple[float, ...] = ()  # its probability if the laws err by each of `LAW_ERRORS`
 

@@ -74,7 +74,7 @@ class Simulation(Vehicles):
             self._order[first:end] = orders[first:end]
         self._step(*self._world, scratch, self._added, (first, end))
 
-    def wheel(self, k: int) -> dict[str, float]:
+    def wheel(self, k: int) -> dict[str, Any]:
         """Fields of the record `WHEEL` of wheel k by name, as they are now."""
         return by_name(self.worlds.state[k])
 

@@ -88,9 +88,10 @@ def align(
 ) -> Aligned:
     """Put the readings of `channels` on one axis, from the first wheel speed to the last.
 
-    `constants` are readings in SI units that hold at every step, by name. Steps at which nothing
-    was measured are left out. The shares `interpolated` and `missing` of each measured channel are
-    set. `period` and `max_gap` are in s. The wheel speed needs a reading.
+    `constants` are readings in SI units that hold at every step, by name. Steps at which no
+    measured channel has a value, read or interpolated, are left out. The shares `interpolated` and
+    `missing` of each measured channel are set. `period` and `max_gap` are in s. The wheel speed
+    needs a reading. `ParameterError` for more than `MOST_STEPS` steps.
     """
     period_ns = round(period * 1e9)
     measured = {n: c for n, c in channels.items() if n not in constants}
@@ -104,18 +105,21 @@ def align(
     grid = _bridged(np.unique(np.concatenate(list(steps.values()))), round(max_gap / period))
     on_axis = (grid >= 0) & (grid <= steps["wheel_speed"].max())
     readings = {}
-    for name, channel in measured.items():
+    between = {}  # by channel, True at the steps whose value is interpolated
+    for name in measured:
         # By reading of the channel: index in `grid` of its step.
         on_grid = np.searchsorted(grid, steps[name])
         counts = np.bincount(on_grid, minlength=grid.size)
-        sums = np.bincount(on_grid, np.frombuffer(channel.values), grid.size)
+        sums = np.bincount(on_grid, np.frombuffer(measured[name].values), grid.size)
         means = np.divide(sums, counts, out=np.full(grid.size, math.nan), where=counts > 0)
         values, filled = interpolated(grid * period, means, max_gap)
         readings[name] = values[on_axis]
-        channel.interpolated = float(np.mean(filled[on_axis]))
-        channel.missing = float(np.mean(np.isnan(values[on_axis])))
+        between[name] = filled[on_axis]
     time = grid[on_axis] * period
     seen = ~np.all([np.isnan(v) for v in readings.values()], axis=0)
+    for name, channel in measured.items():
+        channel.interpolated = float(np.mean(between[name][seen]))
+        channel.missing = float(np.mean(np.isnan(readings[name][seen])))
     readings |= {name: np.full(time.size, value) for name, value in constants.items()}
     return Aligned(origin, time[seen], {n: v[seen] for n, v in readings.items()}, channels, period)
 

@@ -242,7 +242,7 @@ def _mcap_records(file: Path, notes: Notes) -> Iterator[Any]:
             except Exception as error:
                 why = "" if isinstance(error, EndOfFile) else f" ({error})"
                 at = "before its first message"
-                if last:
+                if last is not None:
                     at = f"after the message recorded at {last * 1e-9:.3f} s"
                 place = stream.tell()
                 end = "at its end" if place >= size else f"at byte {place} of {size}"
@@ -339,12 +339,13 @@ def _sqlite(file: Path, wanted: set[str], notes: Notes, decoder: _Decoder) -> It
                 "SELECT rowid, topic_id, timestamp, data FROM messages WHERE topic_id IN "
                 f"({','.join('?' * len(ids))})"
             )
-            for row, topic, time, data in base.execute(query + " ORDER BY rowid", ids):
+            read = base.execute(query + " ORDER BY rowid", ids)
+            for k, (row, topic, time, data) in enumerate(read):
                 name, kind = topics[topic]
                 yield Message(
                     name, time, kind, partial(decoder.cdr, kind, f"{file}: topic {name}", data)
                 )
-                if row % _BETWEEN_REPORTS == 0:
+                if k % _BETWEEN_REPORTS == 0:
                     notes.report(int(size * min(row / count, 1.0)))
         # The text of an error may quote bytes of the file that are no UTF-8.
         except (sqlite3.Error, UnicodeDecodeError) as error:
@@ -398,7 +399,10 @@ def _check_size(file: Path, size: int) -> None:
 
 
 def _define(base: sqlite3.Connection, decoder: _Decoder, kinds: set[str]) -> None:
-    """Hand the bag's definitions of the types `kinds` to the decoder; older bags have none."""
+    """Hand the bag's definitions of the types `kinds` to the decoder.
+
+    Older bags have none, and a table of them that cannot be read counts as none.
+    """
     query = (
         "SELECT topic_type, encoded_message_definition FROM message_definitions WHERE encoding = "
         "'ros2msg'"

@@ -144,7 +144,7 @@ class _Doubts:
 
         Compared are first the sizes of the two speeds (`_wrong_ratio`), then their directions, then
         the slip with that of the speeds. Nothing is doubtful where fewer than `_LEAST` steps drive
-        with both speeds.
+        with both speeds. False without a doubt where one of the two is 0 throughout.
         """
         rim = self.rim
         speed = self.speed
@@ -154,6 +154,8 @@ class _Doubts:
         both = moves if moves.sum() >= _LEAST else both
         if both.sum() < _LEAST:
             return True
+        if not (np.any(rim[both]) and np.any(speed[both])):
+            return False  # a speed of 0 throughout is left to `_stuck_sensors`
         wrong = self._wrong_ratio(both, moves)
         if wrong is not None:
             ratio, (low, high) = wrong

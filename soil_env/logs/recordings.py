@@ -381,7 +381,8 @@ def _note_delays(notes: Notes, mean: dict[str, float]) -> None:
 
 
 def _remarks(found: Aligned, log_map: LogMap, limits: dict[str, float]) -> list[str]:
-    """Notes on channels without readings, with implausible or slow ones, and on gaps.
+    """Notes on gaps, and on channels that are slow, have no readings, or have some that are
+    implausible, NaN or all outside the time of the wheel speed.
 
     `limits`: largest plausible reading by channel, in SI units. A channel is slow where more than
     `_SLOW` of its steps are interpolated. A gap is longer than `max_gap` and than 1.5 periods.
@@ -392,8 +393,10 @@ def _remarks(found: Aligned, log_map: LogMap, limits: dict[str, float]) -> list[
         if c.readings == 0 and log_map.channels[name].constant is None:
             lines.append(f"{place} has not one reading.")
         elif c.times and c.missing == 1.0:
+            count = plural(len(c.times), "reading")
             lines.append(
-                f"{place} has {len(c.times)} readings, none of them at the time of a wheel speed."
+                f"{place} has {count}, all before the first or after the last reading of "
+                "wheel_speed."
             )
         if c.empty:
             lines.append(
@@ -410,7 +413,7 @@ def _remarks(found: Aligned, log_map: LogMap, limits: dict[str, float]) -> list[
         if c.interpolated > _SLOW:
             lines.append(
                 f"{place} comes less often than every {found.period:g} s. {c.interpolated:.0%} of "
-                "its values are interpolated, and they count as readings: set a longer period in "
+                "the steps are interpolated, and they count as readings: set a longer period in "
                 "the map, and windows of four or more of it."
             )
     # Neighbouring steps, which are no gap, may be further apart than `max_gap`.

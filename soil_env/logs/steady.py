@@ -1,7 +1,8 @@
 """Steady windows of a log as points of measurement tables, one table a ground, with a setup
 beside each.
 
-A window is steady where the means of its two halves agree in slip, speed, pull, torque and pitch.
+A window is steady where the means of its two halves agree, and those of its middle half and the
+rest, in slip, both speeds, load, pull, torque and pitch.
 Sinkage must have come to the value that belongs to the slip. It follows dz/dt = A (z_end - z), A =
 (|V| + recovery |r w - V|)/l (`effects.excavation_rate`). After a change dz between the halves, a
 time T/2 apart, dz/(1 - exp(-A T/2)) is left to go.
@@ -27,6 +28,7 @@ import yaml
 from scipy.signal import detrend
 
 from soil_env._io.loading import plural
+from soil_env.identification.online.prior import depth_of
 from soil_env.measurement.table import MEASURED
 from soil_env.online import Estimate
 from soil_env.parameters import FLOW_LAW
@@ -93,10 +95,10 @@ def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = No
     `log_map.windows.duration`.
 
     A window lies in one drive (`_drives`) and on one ground, further than `belief.border` from
-    where the ground changes. It has a load above 0 and sinkage, pull or torque. The noise is the
-    scatter within all windows over the root of the steps of one. It is left out where it is but
-    rounding, and of a load that was not measured. `ground` [N] is that of `Replay`, one more from
-    each border on; left out, all is one ground.
+    where the ground changes. It has a load above 0 and sinkage, pull or torque. The noise of a
+    column is the scatter within all windows over the root of the steps of one. A column whose
+    scatter is rounding has none, nor has a load that was not measured. `ground` [N] is that of
+    `Replay`, one more from each border on; left out, all is one ground.
     """
     columns = _columns(log, log_map)
     where = log.travelled(log_map.wheel.radius)
@@ -378,18 +380,22 @@ def _priors(
 
     K and S have the sd for which ln(1 + sd/value) is the relative sd of the prior. dig_gain is that
     of the estimate, else the prior's, at most `_MOST_GAIN`. The law of the soil's flow is given
-    where the belief has one. A prior that does not go with the map's `soil` is left out.
+    where the belief has one. S is stated at the map's exponent n, where it gives one: with the
+    pressure that the belief has at the depth `depth_of`. S is left out beside k_c and k_phi of the
+    map, the belief's dig_recovery beside a dig_gain of the map.
     """
     belief = log_map.belief
     K = prior.shear_modulus
-    S = prior.sinkage_coefficient
+    n = belief.sinkage_exponent
+    stated = log_map.soil.get("sinkage_exponent", n)
+    S = prior.sinkage_coefficient * depth_of(log_map.wheel) ** (n - stated)
     gain = prior.dig_gain if estimate is None else estimate["dig_gain"]
     priors = {
         "friction_angle_deg": (prior.friction_angle_deg, prior.friction_angle_sd_deg),
         "cohesion": (prior.cohesion, prior.cohesion_sd),
         "shear_modulus": (K, K * math.expm1(prior.shear_modulus_relative_sd)),
         "sinkage_coefficient": (S, S * math.expm1(prior.sinkage_coefficient_relative_sd)),
-        "sinkage_exponent": (belief.sinkage_exponent, belief.sinkage_exponent_sd),
+        "sinkage_exponent": (n, belief.sinkage_exponent_sd),
         "dig_gain": (min(gain, _MOST_GAIN), 0.0),
         "dig_recovery": (belief.dig_recovery, 0.0),
     }

@@ -111,7 +111,8 @@ def _moment(text: str) -> datetime:
 def _expected(stamp: str | int, unit: str) -> str:
     """What a time stamp of this unit looks like, for an error, and the unit that may be meant.
 
-    ISO 8601 text under another unit, and any stamp refused under "iso", get the other unit named.
+    ISO 8601 text under another unit gets "iso" named, any stamp refused under "iso" the units of
+    numbers.
     """
     text = _EXAMPLES.get(unit, f"a time in {unit}")
     if unit == "iso":

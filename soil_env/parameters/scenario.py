@@ -273,11 +273,12 @@ def _check_kind(mapping: Keys, changes: Keys, folder: str, where: str) -> None:
 
 
 def _merged(mapping: Keys, changes: Keys, where: str) -> Keys:
-    """The mapping of a scenario with `changes` over it, and a preset of its wheel by its values.
+    """The mapping of a scenario with `changes` merged over it; a preset of its wheel is replaced by
+    the values of that.
 
-    `soils` in the changes replace the whole mixture. They also replace `belief.soils`, without
-    soils of weight 0, where these were those of the mixture. `belief.soils` in the changes replace
-    them whole. A wheel in the changes that is no mapping, or that names a `preset`, replaces the
+    `soils` in the changes replace the whole mixture. A `belief.soils` that was equal to the old
+    mixture follows the new one, without soils of weight 0. `belief.soils` in the changes replace
+    it. A wheel in the changes that is no mapping, or that names a `preset`, replaces the
     whole wheel. Neither mapping is modified. `ParameterError`, beginning with `where`, for an
     unknown preset, and for priors of a soil beside `belief.soils`.
     """
@@ -287,7 +288,6 @@ def _merged(mapping: Keys, changes: Keys, where: str) -> Keys:
     asked = _mapping(_plain(changes.get("belief")))  # the changes of the belief
     if "soils" in changes:  # replaces the whole mixture
         given = changes.pop("soils")
-        # A library that was the mixture still follows it.
         if "soils" in mapping and belief.get("soils") == _weighted(mapping["soils"]):
             belief = belief | {"soils": _weighted(given)}
             mapping["belief"] = belief
@@ -300,7 +300,7 @@ def _merged(mapping: Keys, changes: Keys, where: str) -> Keys:
     if "wheel" in changes:
         wheel = changes["wheel"]
         if not isinstance(wheel, dict):
-            mapping["wheel"] = changes.pop("wheel")
+            mapping["wheel"] = _plain(changes.pop("wheel"))
         elif "preset" in wheel:
             mapping.pop("wheel", None)
     if isinstance(mapping.get("wheel"), str):

@@ -158,9 +158,10 @@ class Soil(Checked):
         k_phi bears by the weight of the soil, density x gravity (Reece 1965), k_c by cohesion. A
         lumped S changes as a whole, for its cohesive part is not known. A soil without
         `gravity_measured` counts as measured on Earth; at another gravity it gives the warning
-        `UnstatedGravity`. Raises `ParameterError` for a gravity outside the range of that field.
+        `UnstatedGravity`. Raises `ParameterError` for a gravity outside the range of that field,
+        and for one that takes the modulus out of its range.
         """
-        here = replace(self, gravity_measured=gravity)
+        here = replace(self, gravity_measured=gravity)  # refuses a gravity out of range
         measured = self.gravity_measured
         if measured is None:
             measured = EARTH_GRAVITY
@@ -169,7 +170,7 @@ class Soil(Checked):
                     f"a soil without gravity_measured is taken as measured at {measured:g} m/s2, "
                     f"and used at {gravity:g}: state where it was measured",
                     UnstatedGravity,
-                    stacklevel=1,  # of this line: Python shows a warning once for each line
+                    stacklevel=1,  # of this line: Python shows each text once for a line
                 )
         if gravity == measured:
             return self

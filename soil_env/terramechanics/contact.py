@@ -41,7 +41,9 @@ RISING_FROM = 0.75
 # [radii] sinkage at which half of the bound of `most_carried` is left. Own assumption: soil that is
 # not there cannot flow. Wheels of the rigs sink by 0.01 or more, and say little about it
 FLOWING_DEPTH = 0.05
-LEAST_SQUARE = 1e-24  # [radii^2] least square of a sinkage in `_flowing`; 0 of a wheel in the air
+# [radii^2] least square of a sinkage in `_flowing`. That of a wheel in the air is 0, and
+# `held_below` divides by the bound
+LEAST_SQUARE = 1e-24
 PEAK_MARGIN = 0.05  # [of the arc] least distance of the stress peak from its ends; own choice
 _x, _w = np.polynomial.legendre.leggauss(NODES_PER_ZONE)
 # [-] u^2, distance of a node from the end of the arc over the zone's length
@@ -354,8 +356,8 @@ def _cos_sin_of_rise(arc):
 
 @compiled
 def _flowing(arc):
-    """Factor in (0, 1) on `most_carried`, small where a wheel hardly sinks and little soil is there
-    to flow: x^2/(x^2 + x_f^2) at a sinkage of x radii, with x_f = `FLOWING_DEPTH`.
+    """Factor in (0, 1) that `most_carried` has, small where a wheel hardly sinks and little soil is
+    there to flow: x^2/(x^2 + x_f^2) at a sinkage of x radii, with x_f = `FLOWING_DEPTH`.
     """
     s = half_sin(arc.theta1)
     square = max(4.0 * s * s * s * s, LEAST_SQUARE)  # x^2, with x = 1 - cos(theta1) = 2 s^2

@@ -21,8 +21,9 @@ from soil_env._io.loading import Checked, ParameterError, quantity, unknown_key
 
 from .effects.entry import CHANNELS, Channel
 
-#: Dimensionless groups: |i|, 1 - |i|, z/r, W/(S b r^(n+1)) load over bearing strength, V/sqrt(g r)
-#: Froude number, pass number, sine of the grade. "grip" is 1 - |i|, not the `grip` of a wheel.
+#: Dimensionless groups: |i| (i in tables), 1 - |i|, z/r, W/(S b r^(n+1)) load over bearing
+#: strength, V/sqrt(g r) Froude number, pass number, sine of the grade. "grip" is 1 - |i|, not the
+#: `grip` of a wheel.
 GROUPS = ("slip", "grip", "sinkage", "load", "speed", "pass", "grade")
 COLUMNS = (*CHANNELS, *(f"{name}_sd" for name in CHANNELS))  # of a table
 AXES = ("slip", "load", "speed", "pass", "grade")  # groups that a table may go over
@@ -37,7 +38,7 @@ MOST_NODES = 4096  # of a table, of all axes together and of all their combinati
 
 @dataclass(frozen=True)
 class ResidualTerm(Checked):
-    """One term: coefficient [-] and the power of each group in it."""
+    """One term of a channel: coefficient [-] and the power of each group in it."""
 
     channel: Channel
     coefficient: float = quantity("", -LARGEST, LARGEST)

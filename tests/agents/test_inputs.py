@@ -205,6 +205,19 @@ def test_several_worlds_are_the_single_ones_side_by_side(scenario):
     assert both.get_attr("model") == [m for m in models for _ in range(2)]
 
 
+def test_hidden_sizes_are_within_the_priors_of_the_wheel(scenario):
+    worlds = hidden_worlds(scenario, 60, seed=3, names=["shear_softening"])
+    radius = scenario.wheel.radius
+    forms = set()
+    for world in worlds:
+        (values,) = world.effects.values()
+        forms.add(tuple(values))
+        assert values.get("sharpness", 1.0) >= 1.0  # below 1 the law is off
+    assert len(forms) == 3
+    onsets = [v["onset"] for w in worlds for v in w.effects.values() if "onset" in v]
+    assert 0.0 < min(onsets) and 0.1 * radius < max(onsets) <= 0.15 * radius
+
+
 def test_hidden_worlds_have_one_effect_each_and_follow_from_the_seed(scenario):
     worlds = hidden_worlds(scenario, 2 * len(HIDDEN), seed=3)
     assert [next(iter(w.effects)) for w in worlds] == [*HIDDEN, *HIDDEN]

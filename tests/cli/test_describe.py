@@ -38,6 +38,7 @@ def test_the_keys_of_a_scenario_are_all_there_with_unit_range_and_default():
     assert words.startswith("[m] 1 to 10000; default 10")
     assert "torque | wheel_speed | rim_acceleration" in described["control.action"]
     assert "required" in described["wheel.radius"]
+    assert {"base", "wheel.preset"} <= set(described)
 
 
 @pytest.mark.parametrize("changes", [{"course": {"classes": 2}}, {"wheel": {"body_mass": 3.0}}])

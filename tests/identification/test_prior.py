@@ -46,7 +46,7 @@ def test_the_library_is_what_the_world_draws():
     drawn = np.zeros(4000, SOIL)
     draw_soils(stream_of(0), course_distribution(MIXED), drawn)
     tangent, cohesion, K, S, n, gain = (drawn[name] for name in SoilState._fields[:6])
-    y = np.log(S) + n * math.log(prior.depth_of(MIXED))
+    y = np.log(S) + n * math.log(prior.depth_of(MIXED.wheel))
     rows = np.stack([tangent, cohesion, n, np.log(K), y, np.log(gain / MIXED.belief.dig_gain)])
     mean, covariance = prior.prior_of_belief(MIXED)
     sd = np.sqrt(np.diag(covariance))
@@ -75,7 +75,7 @@ def test_pressures_are_compared_at_one_depth():
     for a, b in zip(prior.prior_of_belief(one), prior.prior_of_belief(other), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12)
     at = prior.published_prior(one)[0][2] - prior.published_prior(other)[0][2]
-    assert at == pytest.approx(0.4 * math.log(prior.depth_of(one)))
+    assert at == pytest.approx(0.4 * math.log(prior.depth_of(one.wheel)))
 
 
 def test_widths_of_a_library_hold_68_percent_of_it():
@@ -118,7 +118,7 @@ def test_the_published_prior_is_that_of_the_unknowns():
     rng = np.random.default_rng(1)
     u = rng.multivariate_normal(mean, covariance, 100_000)
     n = MIXED.belief.sinkage_exponent
-    ln_S = u[:, PRESSURE] - n * math.log(prior.depth_of(MIXED))
+    ln_S = u[:, PRESSURE] - n * math.log(prior.depth_of(MIXED.wheel))
     rows = np.column_stack([np.arctan(u[:, TANGENT]), u[:, LN_K], ln_S, u[:, COHESION], u[:, GAIN]])
     published, sd = prior.published_prior(MIXED)
     assert np.all(np.abs(rows.mean(axis=0) - published) < 0.1 * sd)

@@ -43,6 +43,18 @@ def test_a_fast_channel_is_averaged_and_a_slow_one_interpolated():
     assert np.all(log.readings["load"] == 150.0)
 
 
+def test_shares_are_of_the_steps_that_stay():
+    """Steps at which nothing is measured are left out, and count for no channel."""
+    two_drives = [0.0, 0.8, 1.6]
+    log = axis(
+        {"wheel_speed": [(t, 1.0) for t in two_drives], "speed": [(0.4, 1.0), (1.2, 1.0)]},
+        max_gap=0.5,
+    )
+    for name, values in log.readings.items():
+        assert log.channels[name].missing == np.mean(np.isnan(values)), name
+    assert len(log) < 17 and log.channels["wheel_speed"].missing < 0.5
+
+
 def test_values_are_not_interpolated_over_a_longer_gap():
     time = 0.1 * np.arange(12)
     values = np.full(12, math.nan)

@@ -303,12 +303,14 @@ def test_the_setup_of_a_log_has_the_belief_as_priors(without_digging, tmp_path):
     read = read_setup(tmp_path / "setup.yaml")
     b = log_map.belief
     unknowns, known = soil_unknowns(read, np.full(3, 150.0), np.full(3, 0.01))
+    # the same pressure at 0.2 radii, where the identifier compares soils
+    deep = (0.2 * log_map.wheel.radius) ** (b.sinkage_exponent - KNOWN["sinkage_exponent"])
     seen = {u.name: (u.value(0.0), u.sd) for u in unknowns}
     assert seen == {
         "friction_angle_deg": pytest.approx((b.friction_angle_deg, b.friction_sd_deg), rel=1e-3),
         "shear_modulus": pytest.approx((b.shear_modulus, b.shear_modulus_sd), rel=1e-3),
         "sinkage_coefficient": pytest.approx(
-            (b.sinkage_coefficient, b.sinkage_coefficient_sd), rel=1e-3
+            (b.sinkage_coefficient * deep, b.sinkage_coefficient_sd), rel=1e-3
         ),
     }
     assert known == KNOWN  # of the map, in place of the belief

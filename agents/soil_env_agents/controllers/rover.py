@@ -34,6 +34,7 @@ from ..inputs import Layout, Observing
 _SLOWEST = 0.02
 _RATE_SHARE = 0.3  # of the newest reading in the mean of the pitch rate
 _TIME = 0.5  # [s] in which torque_by_load makes up for a lack of speed
+_MOST_LACK = 1.0  # [m] by which torque_by_load takes the rover to be behind, at most; own choice
 _LEAST_LOAD = 0.01  # [of its weight] load of a wheel that is lifted; own choice
 
 
@@ -136,7 +137,8 @@ class TorqueByLoad(RoverController):
 
     def command(self, batch, wheels, state):
         """Torques over the stall torque [n, axles], in [-1, 1]; arguments as of
-        `RoverController.command`. Keeps `lack` [n] in `state`, the integral of the missing speed.
+        `RoverController.command`. Keeps `lack` [n] in `state`, the integral of the missing speed
+        in m.
         """
         own = self.own
         axles = self.axles
@@ -146,9 +148,9 @@ class TorqueByLoad(RoverController):
         # [kg m] mass that the wheels of a side carry, times their radius.
         mass_arm = self.scenario.wheel.body_mass * axles * own.radius
         slope = np.sin(batch[:, self.column["pitch"]]) + own.rolling
-        # [m] by which the rover is behind, limited to 1 m.
+        # [m] by which the rover is behind, limited to `_MOST_LACK`.
         kept = np.where(state["begun"] | halted, 0.0, state.get("lack", 0.0 * speed))
-        lack = np.clip(kept + (target - speed) * own.period, -1.0, 1.0)
+        lack = np.clip(kept + (target - speed) * own.period, -_MOST_LACK, _MOST_LACK)
         state["lack"] = lack
         # [N m] of a side: what grade and resistance take, and the acceleration that makes up for
         # the missing speed and way within `_TIME`.

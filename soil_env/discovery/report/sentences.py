@@ -103,9 +103,9 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.0f} %"
 
 
-def closed_percent(share: float) -> str:
-    """A closed share of a gap in percent, as a whole number without "%": 100 only where nothing is
-    left, and "more than 99" just below.
+def up_to_percent(share: float) -> str:
+    """A share in percent, as a whole number without "%": 100 only for all of it, and "more than 99"
+    just below.
     """
     return "more than 99" if 0.995 <= share < 1.0 else fixed(100.0 * share, 0)
 
@@ -224,7 +224,7 @@ def after_next(report: Report) -> str:
     before and after them; or that no run is needed, where it `is_decided`.
     """
     now = sure_of(report.finding) if is_decided(report) else right_now(report)
-    return filled("after_next.txt", report, now=f"{closed_percent(now)} %")
+    return filled("after_next.txt", report, now=f"{up_to_percent(now)} %")
 
 
 def _place(point: Mapping[str, float]) -> str:

@@ -20,7 +20,6 @@ from .sentences import (
     TITLES,
     UNITS,
     amount,
-    closed_percent,
     figures,
     fixed,
     joined,
@@ -28,6 +27,7 @@ from .sentences import (
     percent,
     times,
     title,
+    up_to_percent,
 )
 
 
@@ -39,7 +39,7 @@ def effects(report: Report) -> Table:
     for e in report.effects:
         label = title(e.name)  # in the first row of the effect
         label += f", or {', '.join(title(a) for a in e.alternatives)}" if e.alternatives else ""
-        label += "" if e.share is None else f" (closes {closed_percent(e.share)} %)"
+        label += "" if e.share is None else f" (closes {up_to_percent(e.share)} %)"
         for name, p in e.parameters.items():
             unit = LISTED[e.name].parameter(name).unit
             interval = _interval(p) or ("at a bound" if report.is_free(e.name, name) else "set")

@@ -41,10 +41,10 @@ SCALES = (0.2, 0.7, 2.0, 5.0)  # [s] time constants of the moving averages
 LARGEST = 6.0  # [standard deviations of the training drives] at which an input is cut
 _LEAST_TORQUE = 0.05  # [of stall torque] least available torque that the motor torque is divided by
 _MOST_TORQUE = 1.5  # [of available torque] at which the motor torque is cut; braking: at -1
-# [s/radius] Speeds enter as asinh of this times radii a second, so that a slow wheel is resolved.
+# [s] Speeds enter as asinh of this times radii a second, so that a slow wheel is resolved.
 _SPEED = 3.0
 _SHORTEST = 0.2  # [s] added to the time since a halt, whose logarithm is taken
-_LEAST_COSINE = 0.01  # [-] least square of the cosine of a pitch that a tangent is divided by
+_LEAST_COSINE_SQUARED = 0.01  # [-] of a pitch, by whose root a tangent is divided at least
 _BEHIND = 7.0  # [radii] since the last border, beyond which the distance does not matter
 _MOST_MET = 2.0  # patches of a class, beyond which more do not matter
 
@@ -161,7 +161,7 @@ def _channels(reading, numbers, warning):
     """
     load = max(reading.load, LIFTED * numbers.weight)
     rim = reading.rim_speed / numbers.radius
-    pitch = math.sin(reading.pitch)
+    sine = math.sin(reading.pitch)
     available = max(1.0 - rim / warning.no_load_speed, _LEAST_TORQUE) * numbers.stall_torque
     return Channels(
         reading.slip,
@@ -171,9 +171,9 @@ def _channels(reading, numbers, warning):
         reading.torque / (load * numbers.radius),
         math.asinh(_SPEED * reading.speed / numbers.radius),
         math.asinh(_SPEED * rim),
-        pitch,
+        sine,
         min(max(reading.motor_torque / available, -1.0), _MOST_TORQUE),
-        reading.acceleration / numbers.gravity - pitch,
+        reading.acceleration / numbers.gravity - sine,
     )
 
 
@@ -230,7 +230,7 @@ def see(recent, image, classes, sight, numbers):
     grade_beside = image.grade_1
     if image.taken > 0.0:
         route, beside, grade, grade_beside = beside, route, grade_beside, grade
-    tangent = sine / math.sqrt(max(1.0 - sine * sine, _LEAST_COSINE))
+    tangent = sine / math.sqrt(max(1.0 - sine * sine, _LEAST_COSINE_SQUARED))
     seen = image.seen
     view = View(
         1.0,

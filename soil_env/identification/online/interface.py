@@ -319,7 +319,7 @@ class OnlineIdentifier:
 
     def _speeds(self, r: Readings) -> tuple[float, float]:
         """(rim speed, travel speed) [m/s]; one that was not measured follows from a measured slip,
-        of a wheel going forward, and is NaN without a slip.
+        as if the rim did not turn against the travel, and is NaN without a slip.
 
         The rim speed does not follow from a slip of nearly 1, of a wheel that spins. The travel
         speed does not follow from one of nearly -1, of a locked wheel (`LEAST_TRAVEL_RATIO`).

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from soil_env._io.loading import ParameterError
-from soil_env.parameters import FLOW_LAW, RoverScenario, Scenario
+from soil_env.parameters import FLOW_LAW, RoverScenario, Scenario, Wheel
 from soil_env.parameters.readings import largest_sensed, reading_errors, reading_units
 
 from .identifier import start
@@ -54,9 +54,9 @@ _OF_SPREAD = np.array([TANGENT, COHESION, LN_K, PRESSURE, GAIN])  # as in `SoilS
 Gaussian = tuple[float, np.ndarray, np.ndarray]  # weight, mean [SIZE], covariance [SIZE, SIZE]
 
 
-def depth_of(scenario: Scenario) -> float:
+def depth_of(wheel: Wheel) -> float:
     """Sinkage [m] at which the pressures of soils are compared."""
-    return _DEPTH * scenario.wheel.radius
+    return _DEPTH * wheel.radius
 
 
 def plain(scenario: Scenario) -> Gaussian:
@@ -67,7 +67,7 @@ def plain(scenario: Scenario) -> Gaussian:
     w = scenario.wheel
     tangent = math.tan(math.radians(b.friction_angle_deg))
     n = b.sinkage_exponent
-    ln_pressure = math.log(b.sinkage_coefficient) + n * math.log(depth_of(scenario))
+    ln_pressure = math.log(b.sinkage_coefficient) + n * math.log(depth_of(scenario.wheel))
     mean = np.array([tangent, b.cohesion, n, math.log(b.shear_modulus), ln_pressure, 0.0])
     sd = np.array(
         [
@@ -109,7 +109,7 @@ def of_library(scenario: Scenario) -> list[Gaussian]:
     correlations[np.ix_(_OF_SPREAD, _OF_SPREAD)] = spread.factor() @ spread.factor().T
     least = LEAST_SCATTER * np.sqrt(np.diag(plain(scenario)[2]))
     deeper = np.eye(SIZE)  # from the pressure at the reference of the scatter to that at `depth_of`
-    deeper[PRESSURE, EXPONENT] = math.log(depth_of(scenario) / spread.reference_sinkage)
+    deeper[PRESSURE, EXPONENT] = math.log(depth_of(scenario.wheel) / spread.reference_sinkage)
     for name, weight in b.soils.items():
         soil = scenario.beneath(scenario.library[name])
         tangent = soil.tan_phi
@@ -178,7 +178,7 @@ def published_prior(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
     sd[PUBLISHED_PHI] /= 1.0 + u[TANGENT] ** 2
     mean = u[_PUBLISHED]
     mean[PUBLISHED_PHI] = math.atan(u[TANGENT])
-    mean[PUBLISHED_LN_S] -= scenario.belief.sinkage_exponent * math.log(depth_of(scenario))
+    mean[PUBLISHED_LN_S] -= scenario.belief.sinkage_exponent * math.log(depth_of(scenario.wheel))
     return mean, sd
 
 
@@ -200,7 +200,7 @@ def setting_of(scenario: Scenario) -> np.ndarray:
     s.weight = scenario.weight
     s.period = scenario.control.period
     s.length = scenario.relaxation * wheel.radius
-    s.depth = depth_of(scenario)
+    s.depth = depth_of(scenario.wheel)
     s.exponent = belief.sinkage_exponent
     s.off = belief.method == "none"
     white, zero, gain = reading_errors(scenario)

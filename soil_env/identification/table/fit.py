@@ -160,7 +160,7 @@ class TableEstimate:
     correlation: np.ndarray  # [f, f]
     condition: float  # of the whitened Jacobian by the soil in units of the prior sd
     reference_sinkage: float  # z_ref [m], median sinkage; of the fitted ones if none was measured
-    fits: dict[str, ChannelFit]  # of the measured channels, and of the load if it has noise
+    fits: Fits  # of the measured channels, and of the load if it has noise
     row: np.ndarray  # [N] lines of the table
     slip: np.ndarray  # [N]
     load: np.ndarray  # [N] in newtons
@@ -417,7 +417,8 @@ def _parameters(
 
 
 def _fits(problem: TableProblem, u: np.ndarray) -> Fits:
-    """`ChannelFit` of each measured channel, and of the load if it has noise, at the solution u.
+    """`ChannelFit` of each measured channel, and of the load if it has noise, at the solution u;
+    none of the slip.
 
     The probabilities are those of chi-squared, with the degrees of freedom that the fit leaves to
     the errors. Where slip and load err too, a channel has only its share of the errors.
@@ -583,9 +584,9 @@ def _missed(
     out = {}
     of_rig = slice(len(problem.soil), None)
     square = np.sum(u[of_rig] ** 2)
-    freedom = np.sum(1.0 - np.diag(problem.covariance(u))[of_rig])
-    if square > 0.0 and chdtrc(freedom, square) < MISSED:
-        out[RIG] = math.sqrt(square / freedom)
+    of_errors = np.sum(1.0 - np.diag(problem.covariance(u))[of_rig])
+    if square > 0.0 and chdtrc(of_errors, square) < MISSED:
+        out[RIG] = math.sqrt(square / of_errors)
     for name, fit in plain.items():
         ratio = fit.rms_over_noise
         if not fit.estimated:

@@ -14,7 +14,7 @@ from soil_env.measurement.setup import NUMBERS, STEEPEST_TILT, Prior, Setup
 from soil_env.parameters import Soil
 
 USUAL_SINKAGE = 0.08  # [radii] where none was measured
-LARGEST_LOG = 700.0  # an exponential of more overflows
+LARGEST_LOG = 700.0  # an exponential of 710 overflows
 _LEAST_VALUE = 1e-12  # value that a prior counts as, at least, where its logarithm is taken
 _SHALLOWEST = 0.01  # [radii] least sinkage of the plate of `plate_coefficient`; the most is 1
 #: Length of that plate over the chord sqrt(2 r z) from the entry to the lowest point; own choice.
@@ -33,8 +33,8 @@ Values = Mapping[str, float]  # parameters by name
 
 
 class Unknown(NamedTuple):
-    """One unknown with its prior and bounds, in the coordinate in which it is fitted: the parameter
-    itself or its logarithm.
+    """One unknown with its prior and bounds, in its coordinate: the parameter itself or its
+    logarithm.
     """
 
     name: str  # of the parameter
@@ -92,10 +92,10 @@ def soil_unknowns(
     """(unknowns of the soil, values by name that the setup knows) of a table: `load` of each row in
     N, `sinkage` of each row in m, nan where not measured.
 
-    A parameter without a prior in the setup is the `BROAD` unknown; that of S has the mean of
-    `plate_coefficient`. For any other the standard
-    deviation of its prior is multiplied by `widened`. If the setup gives `tilt_deg`, that is the
-    last of the unknowns, its prior as it is, or known.
+    A parameter without a prior in the setup is the `BROAD` unknown; ln S has the logarithm of
+    `plate_coefficient` for its mean. For any other the standard deviation of its prior is
+    multiplied by `widened`. If the setup gives `tilt_deg`, that is the last of the unknowns, its
+    prior as it is, or known.
     """
     unknowns = []
     known = {}

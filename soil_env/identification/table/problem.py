@@ -183,8 +183,8 @@ class TableProblem:
         relative[:, 2:] = table.relative_sd(setup)
         #: [N, 5] noise of each value over that of its source.
         self.relative = relative[use]
-        #: [m] reference sinkage
         sinkage = self.y[:, 0]
+        #: [m] reference sinkage
         self.z_ref = middle_sinkage(sinkage, setup.wheel.radius)
         self.soil, self.known = soil_unknowns(setup, self.rows.load, sinkage)
         load = float(np.median(self.rows.load))

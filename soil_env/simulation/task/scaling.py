@@ -15,7 +15,7 @@ from soil_env._io.loading import truth
 
 from .layout import ROUTES, ObservedNumber, bounds_of
 
-_ALWAYS = "log10_sinkage_coefficient"  # entry of a route that is 0 only out of sight
+_ONLY_THEN = "log10_sinkage_coefficient"  # entry that is 0 where a route is out of sight, only
 
 
 class Scaling:
@@ -36,19 +36,19 @@ class Scaling:
         names = [e.name for e in self.entries]
         self.centre = np.array([e.centre for e in self.entries], dtype=np.float32)
         self.scale = np.array([e.scale for e in self.entries], dtype=np.float32)
-        # for each entry the index of one that is 0 if its route is out of sight; of itself where it
-        # belongs to no route or is 0 on both sides anyway
+        # for each entry the index of the one that is 0 exactly where its route is out of sight;
+        # its own, where it belongs to no route or is 0 on both sides anyway
         self._mark = np.arange(len(names))
         # for each entry 0 if it is set to 0 then, else 1
         self._kept = np.ones(len(names), dtype=np.float32)
         self._routes = []  # of each route, indices of the entries whose centre is not 0
         for route in ROUTES:
             prefix = f"{route}_"
-            if prefix + _ALWAYS in names:
+            if prefix + _ONLY_THEN in names:
                 columns = [
                     k for k, n in enumerate(names) if n.startswith(prefix) and self.centre[k] != 0.0
                 ]
-                self._mark[columns] = names.index(prefix + _ALWAYS)
+                self._mark[columns] = names.index(prefix + _ONLY_THEN)
                 self._kept[columns] = 0.0
                 self._routes.append(columns)
 

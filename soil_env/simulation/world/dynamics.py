@@ -127,10 +127,10 @@ def stage_of(number, h, wheel, speed_before, rim_before, rig):
 def ground_ahead(wheel, stage, course, cells, border, effects):
     """Ground `Ahead` at the middle of the way of a wheel in a stage, foreseen by its present speed.
 
-    The soil there is undisturbed, between two patches blended within `border` [m]; in a rut its
-    firm ground is nearer by the depth of all ruts, those of wheels ahead and its own (`rolled`),
-    and the passes stiffen it. `cells`: `RUT` of the wheel; `effects`: `Effects` that act in the
-    world, or None. `wheel.patch` and `wheel.slope` are set to the indices there.
+    The soil there is that of the course, between two patches blended within `border` [m]. In a rut
+    its firm ground is nearer by the depth of all ruts, those of wheels ahead and its own
+    (`rolled`), and the passes stiffen it. `cells`: `RUT` of the wheel; `effects`: `Effects` that act
+    in the world, or None. `wheel.patch` and `wheel.slope` are set to the indices there.
     """
     x = wheel.x + 0.5 * stage.duration * wheel.speed
     wheel.patch = piece_at(course.patches, x, wheel.patch)

@@ -46,7 +46,7 @@ ROUTE = record(
 )
 #: What the routes over a patch share. A patch with one route has it twice.
 FORK = record(
-    "halt",  # [m] place of the halt before a patch with two routes, < 0: the patch begins at 0
+    "halt",  # [m] place of the halt from the beginning of a patch with two routes, so below 0
     "border_error",  # [m] of where a camera sees the beginning of the patch
     "grade",  # [rad] steepest slope on the patch
     routes=("i8",),
@@ -208,7 +208,8 @@ def pass_at(cells, x):
 def rut_at(cells, x):
     """(depth of the ruts of the wheels ahead, depth of the own rut below that) [m] at x [m].
 
-    Both are linear between the middles of the cells, and 0 a cell or more from any rut.
+    Both are linear between the middles of the cells, and 0 a cell or more from the middle of any
+    cell with a rut.
     """
     i, way = between_cells(cells.size, x)
     here = cells[i]

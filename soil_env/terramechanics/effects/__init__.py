@@ -162,9 +162,9 @@ def acting_effects(fx: Effects) -> Effects | None:
 
 @compiled
 def soil_in_contact(soil, passage, fx):
-    """`SoilState` under the wheel on undisturbed `soil`; each law changes what the one before left.
+    """`SoilState` under the wheel, of the `soil` before any effect, which a rut may have stiffened.
 
-    `passage` is a `Passage`.
+    Each law changes what the one before left. `passage` is a `Passage`, `fx` are `Effects`.
     """
     soil = soil_flow.flowing(soil, fx)
     soil = pressure_dependent_friction.rubbed_under_pressure(soil, passage, fx)

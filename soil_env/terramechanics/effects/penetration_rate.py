@@ -34,8 +34,8 @@ def loaded_fast(soil, passage, fx):
 
 
 def _neutral(bench: Bench) -> dict[str, float]:
-    """The mean travel speed [m/s] of the table as reference speed, which is not fitted. Empty where
-    it is not known in every row: the parameter keeps its own.
+    """The geometric mean of the travel speed [m/s] of the table as reference speed, which is not
+    fitted. Empty where it is not known in every row: the parameter keeps its own.
     """
     return {"reference_speed": bench.speed} if bench.speed > 0.0 else {}
 

@@ -24,8 +24,8 @@ def sheared_fast(soil, passage, fx):
 
 
 def _neutral(bench: Bench) -> dict[str, float]:
-    """The mean sliding speed [m/s] of the table as reference and, to begin with, as onset speed.
-    Empty where it is not known: the parameters keep their own.
+    """The geometric mean of the sliding speed [m/s] of the table as reference and, to begin with,
+    as onset speed. Empty where it is not known: the parameters keep their own.
     """
     if bench.sliding > 0.0:
         return {"reference_speed": bench.sliding, "onset_speed": bench.sliding}
