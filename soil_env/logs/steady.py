@@ -341,7 +341,8 @@ def setup_text(
     if "dig_gain" not in log_map.soil:
         origin = "as identified online" if estimate else "that of the belief, as if it were known"
         text += (
-            f"# dig_gain: {origin}; take it out to let soil-env discover look for slip-sinkage\n"
+            f"# dig_gain: {origin}; take it and dig_recovery out to let soil-env discover look for "
+            "slip-sinkage\n"
         )
     content = {
         "wheel": {"radius": log_map.wheel.radius, "width": log_map.wheel.width},

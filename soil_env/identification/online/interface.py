@@ -99,9 +99,10 @@ class OnlineIdentifier:
     """Identifies friction angle, shear deformation modulus K and sinkage coefficient S under one
     driven wheel.
 
-    `wheel`: its radius, width and the mass on it; its inertia where there is a motor torque; the
-    motor only for `traversability`. `belief`: the prior of the ground to be expected. `noise`:
-    standard deviations of the sensors. `period` [s]: time between readings without a time.
+    `wheel`: its radius, width and the mass on it; its inertia where there is a motor torque; its
+    stall torque for the best pull and `traversability`. `belief`: the prior of the ground to be
+    expected. `noise`: standard deviations of the sensors. `period` [s]: time between readings
+    without a time.
     `relaxation` [wheel radii]: distance in which sinkage adapts. `gravity` [m/s2]. Missing readings
     are NaN, now and then or always; docs/guide/online.md says what stands for each.
 

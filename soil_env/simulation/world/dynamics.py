@@ -129,8 +129,8 @@ def ground_ahead(wheel, stage, course, cells, border, effects):
 
     The soil there is that of the course, between two patches blended within `border` [m]. In a rut
     its firm ground is nearer by the depth of all ruts, those of wheels ahead and its own
-    (`rolled`), and the passes stiffen it. `cells`: `RUT` of the wheel; `effects`: `Effects` that act
-    in the world, or None. `wheel.patch` and `wheel.slope` are set to the indices there.
+    (`rolled`), and the passes stiffen it. `cells`: `RUT` of the wheel; `effects`: `Effects` that
+    act in the world, or None. `wheel.patch` and `wheel.slope` are set to the indices there.
     """
     x = wheel.x + 0.5 * stage.duration * wheel.speed
     wheel.patch = piece_at(course.patches, x, wheel.patch)
