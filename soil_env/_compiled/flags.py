@@ -23,7 +23,7 @@ they are numba's own objects, with the plain function as `py_func`. What to know
 from typing import Any
 
 import numpy as np
-from numba import njit
+from numba import literal_unroll, njit
 from numba.extending import register_jitable
 
 # No function is handed on as a value, so none needs the wrapper that numba makes for that.
@@ -60,6 +60,16 @@ def record(*numbers: str, **others: tuple[Any, ...]) -> np.dtype[Any]:
     # A shape 1 becomes (1,), since NumPy before 2.0 takes (type, 1) for the type alone.
     fields += [(n, kind, np.broadcast_shapes(*shape)) for n, (kind, *shape) in others.items()]
     return np.dtype((np.record, fields))
+
+
+@compiled
+def put_fields(into, values, names):
+    """Write the fields `names` of `values`, a record or a named tuple, into the record `into`.
+
+    `names` is a constant of a module, for numba to know.
+    """
+    for name in literal_unroll(names):
+        into[name] = getattr(values, name)
 
 
 def by_name(one: np.record) -> dict[str, Any]:

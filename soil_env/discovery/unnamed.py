@@ -124,11 +124,11 @@ def _slip_share(rows: Rows, scale: float) -> np.ndarray:
     return -np.expm1(-np.maximum(rows.slip, 0.0) / scale)
 
 
-def _radius_factor(rows: Rows, gain: float, load: float) -> np.ndarray:
-    """[N] factor on the radius of a wheel that its load deforms, 1 + a W_row/W; `gain` a, `load`
-    W.
+def _radius_factor(rows: Rows, values: Values, load: float) -> np.ndarray:
+    """[N] factor on the radius of a wheel that its load deforms, 1 + a W_row/W; a is among the
+    `values`, `load` is W.
     """
-    return 1.0 + gain * rows.load / load
+    return 1.0 + values["soft_wheel_gain"] * rows.load / load
 
 
 def loaded(rows: Rows, values: Values, load: float) -> Rows:
@@ -137,7 +137,7 @@ def loaded(rows: Rows, values: Values, load: float) -> Rows:
     """
     if "soft_wheel_gain" in values:
         wheels = rows.wheels.copy()
-        wheels[:, 0] *= _radius_factor(rows, values["soft_wheel_gain"], load)
+        wheels[:, 0] *= _radius_factor(rows, values, load)
         return rows._replace(wheels=wheels)
     if "slip_load_load" not in values:
         return rows
@@ -173,7 +173,7 @@ def changed(out: np.ndarray, rows: Rows, values: Values, bench: Bench) -> np.nda
     load = bench.load
     size = load * rows.wheels[:, 0]
     if "soft_wheel_gain" in values:
-        out[:, 2] /= _radius_factor(rows, values["soft_wheel_gain"], load)
+        out[:, 2] /= _radius_factor(rows, values, load)
     for name in ("force", "rut_force", "slip_force"):
         if f"{name}_pull" not in values:
             continue

@@ -5,7 +5,7 @@ Orchestration only.
 
 import copy
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,7 @@ from soil_env.simulation.task.scaling import Scaling
 from soil_env.simulation.world.terrain import soil_at
 from soil_env.terramechanics.model import ModelLike, WheelSoilModel, load_model
 
-from .infos import NESTED, Info, masked
+from .infos import NESTED, Info, asks, checked, masked
 from .vehicles import Vehicles
 from .worlds import for_each, storable, with_model, world_of
 
@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 
 #: Keywords of an environment that are no part of its scenario, beside that of the scenario itself.
 OWN = ("observation", "action", "repeat", "render_mode", "model", "scatter", "info", "scaled")
-OF_MANY = ("num_envs", "autoreset_mode", "max_episode_steps", "threads")  # vector environments
+#: The same of a vector environment.
+OF_MANY = (*OWN, "num_envs", "autoreset_mode", "max_episode_steps", "threads")
 _RUNNING = Cause.RUNNING.value
 # masks of the single course, as `infos` takes them: the course, and no course
 _ONLY = np.ones(1, dtype=np.bool_)
@@ -135,9 +136,12 @@ def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64
 
 class _Common:
     """What the environments of one course and of many share: scaled observations, the world of a
-    model, and the spec that `gymnasium.make` or `make_vec` sets.
+    model, the simulation, and the spec that `gymnasium.make` or `make_vec` sets.
     """
 
+    scenario: Any
+    simulation: Vehicles
+    infos: Any
     model: WheelSoilModel | None
     world: Info | None  # `info["world"]`, where there is a model
     scaling: Scaling
@@ -153,6 +157,24 @@ class _Common:
         found = with_model(scenario, self.model, scatter, changes)
         self.world = world_of(found, self.model, scatter)
         return found
+
+    def _simulate(
+        self,
+        simulation: Callable[..., Any],
+        infos: Callable[..., Any],
+        count: int,
+        variant: str,
+        threads: int | None,
+        info: str | None,
+    ) -> None:
+        """Make the `simulation` of `count` vehicles, with observations of a `variant`, and its
+        `infos`: of the classes that are given. `scenario` and `model` are set before.
+
+        ParameterError for an `info` that is none of `infos.INFOS`.
+        """
+        kind = checked(info, variant)
+        self.simulation = simulation(count, self.scenario, variant, threads, self.model, asks(kind))
+        self.infos = infos(self.simulation, kind)
 
     def physical(self, observation: ArrayLike) -> NDArray[np.float32]:
         """Observations [..., D] of this env in the units of the tables, float32; ValueError for
@@ -172,8 +194,7 @@ class _Common:
 
 
 class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
-    """Base of the environments of one course; a subclass sets `simulation`, of one vehicle, and
-    `infos`.
+    """Base of the environments of one course; a subclass calls `_simulate`, for one vehicle.
 
     `entries`: of the observation `variant`, in order; `actions`: the space of actions; `scaled`:
     observations are scaled to order one (`Scaling`). Raises ParameterError for a `render_mode` that
@@ -181,8 +202,6 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
-    simulation: Vehicles
-    infos: Any
 
     def __init__(
         self,
@@ -324,8 +343,8 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
 class CourseVectorEnv(
     _Common, gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]
 ):
-    """Base of the environments of many courses; a subclass sets `scenario`, `simulation` and
-    `infos`, and calls `_set_spaces`.
+    """Base of the environments of many courses; a subclass sets `scenario`, and calls `_set_spaces`
+    and `_simulate`.
 
     An episode is truncated after `max_episode_steps` steps, with None never. `threads` is only
     checked here: it is for the `simulation`.
@@ -333,10 +352,6 @@ class CourseVectorEnv(
     Raises ParameterError for a count that is no whole number >= 1, any `render_mode`, and an
     unknown `autoreset_mode`.
     """
-
-    simulation: Vehicles
-    scenario: Any
-    infos: Any
 
     def __init__(
         self,

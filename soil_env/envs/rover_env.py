@@ -17,12 +17,8 @@ from .course_env import (
     action_space,
     scenario_changes,
 )
-from .infos import asks, checked
 from .rover_infos import RoverInfos
 from .rovers import RoverSimulation
-
-_OWN = ("rover", *OWN)
-_OWN_OF_MANY = (*OF_MANY, *_OWN)
 
 
 def build_rover(
@@ -30,17 +26,16 @@ def build_rover(
     action: str | None,
     repeat: int | None,
     changes: dict[str, Any],
-    own: tuple[str, ...] = _OWN,
+    own: tuple[str, ...] = OWN,
 ) -> RoverScenario:
     """The scenario that the keyword arguments of an environment describe: `rover` with the fields
     in `changes`, `action` and `repeat` merged over it.
 
-    `own`: keywords that are no part of a scenario, for errors. Raises as `scenario_changes` and
-    `load_rover`.
+    `own`: other keywords than `rover` that are no part of a scenario, for errors. Raises as
+    `scenario_changes` and `load_rover`.
     """
-    return load_rover(
-        rover, scenario_changes(changes, action, repeat, own, RoverScenario), "keyword"
-    )
+    merged = scenario_changes(changes, action, repeat, ("rover", *own), RoverScenario)
+    return load_rover(rover, merged, "keyword")
 
 
 class SoilRoverEnv(CourseEnv):
@@ -172,6 +167,9 @@ class SoilRoverEnv(CourseEnv):
       sensors have zeros and gains, grades do not show soils. Policies of version 1 are refused.
     """
 
+    simulation: RoverSimulation
+    infos: RoverInfos
+
     def __init__(
         self,
         rover: RoverLike = DEFAULT_ROVER,
@@ -192,11 +190,7 @@ class SoilRoverEnv(CourseEnv):
         super().__init__(
             scenario, entries, observation, action_space(scenario.axles), render_mode, scaled
         )
-        info = checked(info, observation)
-        self.simulation: RoverSimulation = RoverSimulation(
-            1, scenario, observation, 1, self.model, asks(info)
-        )
-        self.infos: RoverInfos = RoverInfos(self.simulation, info)
+        self._simulate(RoverSimulation, RoverInfos, 1, observation, 1, info)
 
     def true_soils(self) -> tuple[Soil, ...]:
         """The undisturbed soil under each axle, without its density: for analysis and references,
@@ -216,6 +210,9 @@ class SoilRoverVectorEnv(CourseVectorEnv):
     `final_info` has what `info` has. No rendering.
     """
 
+    simulation: RoverSimulation
+    infos: RoverInfos
+
     def __init__(
         self,
         num_envs: int = 1,
@@ -234,12 +231,8 @@ class SoilRoverVectorEnv(CourseVectorEnv):
         **changes: Any,
     ):
         super().__init__(num_envs, autoreset_mode, max_episode_steps, threads, render_mode)
-        scenario = build_rover(rover, action, repeat, changes, _OWN_OF_MANY)
+        scenario = build_rover(rover, action, repeat, changes, OF_MANY)
         self.scenario: RoverScenario = self._in_world(scenario, model, scatter, changes)
         axles = self.scenario.axles
         self._set_spaces(rover_layout(observation, axles), action_space(axles), scaled)
-        info = checked(info, observation)
-        self.simulation: RoverSimulation = RoverSimulation(
-            self.num_envs, self.scenario, observation, threads, self.model, asks(info)
-        )
-        self.infos: RoverInfos = RoverInfos(self.simulation, info)
+        self._simulate(RoverSimulation, RoverInfos, self.num_envs, observation, threads, info)

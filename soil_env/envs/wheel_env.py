@@ -21,7 +21,7 @@ from .course_env import (
     action_space,
     scenario_changes,
 )
-from .infos import IMMOBILISED, Infos, asks, checked
+from .infos import IMMOBILISED, Infos
 from .wheels import Simulation
 
 __all__ = [
@@ -32,9 +32,6 @@ __all__ = [
     "build_scenario",
     "observation_space",
 ]
-#: Keywords that are no part of a scenario.
-_OWN = ("scenario", *OWN)
-_OWN_OF_MANY = (*OF_MANY, *_OWN)
 
 
 def build_scenario(
@@ -42,17 +39,16 @@ def build_scenario(
     action: str | None,
     repeat: int | None,
     changes: dict[str, Any],
-    own: tuple[str, ...] = _OWN,
+    own: tuple[str, ...] = OWN,
 ) -> Scenario:
     """The scenario that the keyword arguments of an environment describe: `scenario` with the
     fields in `changes`, `action` and `repeat` merged over it.
 
-    `own`: keywords that are no part of a scenario, for errors. Raises as `scenario_changes` and
-    `load_scenario`.
+    `own`: other keywords than `scenario` that are no part of one, for errors. Raises as
+    `scenario_changes` and `load_scenario`.
     """
-    return load_scenario(
-        scenario, scenario_changes(changes, action, repeat, own, Scenario), "keyword"
-    )
+    merged = scenario_changes(changes, action, repeat, ("scenario", *own), Scenario)
+    return load_scenario(scenario, merged, "keyword")
 
 
 def observation_space(
@@ -296,6 +292,9 @@ class SoilWheelEnv(CourseEnv):
       sensors have zeros and gains, grades do not show soils. Policies of version 1 are refused.
     """
 
+    simulation: Simulation
+    infos: Infos
+
     def __init__(
         self,
         scenario: ScenarioLike = DEFAULT_SCENARIO,
@@ -313,11 +312,7 @@ class SoilWheelEnv(CourseEnv):
         task = self._in_world(task, model, scatter, changes)
         entries = layout(observation, task.course)
         super().__init__(task, entries, observation, action_space(), render_mode, scaled)
-        info = checked(info, observation)
-        self.simulation: Simulation = Simulation(
-            1, self.scenario, observation, 1, self.model, asks(info)
-        )
-        self.infos: Infos = Infos(self.simulation, info)
+        self._simulate(Simulation, Infos, 1, observation, 1, info)
 
     def estimate(self) -> Soil:
         """The identified soil, with the belief's exponent and recovery of digging, each number
@@ -353,6 +348,9 @@ class SoilWheelVectorEnv(CourseVectorEnv):
     rendering.
     """
 
+    simulation: Simulation
+    infos: Infos
+
     def __init__(
         self,
         num_envs: int = 1,
@@ -371,11 +369,7 @@ class SoilWheelVectorEnv(CourseVectorEnv):
         **changes: Any,
     ):
         super().__init__(num_envs, autoreset_mode, max_episode_steps, threads, render_mode)
-        task = build_scenario(scenario, action, repeat, changes, _OWN_OF_MANY)
+        task = build_scenario(scenario, action, repeat, changes, OF_MANY)
         self.scenario: Scenario = self._in_world(task, model, scatter, changes)
         self._set_spaces(layout(observation, self.scenario.course), action_space(), scaled)
-        info = checked(info, observation)
-        self.simulation: Simulation = Simulation(
-            self.num_envs, self.scenario, observation, threads, self.model, asks(info)
-        )
-        self.infos: Infos = Infos(self.simulation, info)
+        self._simulate(Simulation, Infos, self.num_envs, observation, threads, info)

@@ -49,9 +49,9 @@ def with_model(
     low, high = model.validity.get("load", (0.0, math.inf))
     if not (1.0 - NEAR) * low <= scenario.weight <= (1.0 + NEAR) * high:
         mass = (math.sqrt(low * high) or high) / scenario.gravity  # [kg] of a wheel
-        rover = isinstance(scenario, RoverScenario)
-        of_rover = f"vehicle.mass = {2 * scenario.axles * mass:.3g}" if rover else ""
-        wanted = of_rover or f"wheel.body_mass = {mass:.3g}"
+        wanted = f"wheel.body_mass = {mass:.3g}"
+        if isinstance(scenario, RoverScenario):
+            wanted = f"vehicle.mass = {2 * scenario.axles * mass:.3g}"
         warnings.warn(
             f"the wheel carries {scenario.weight:.4g} N, and the model was fitted to loads of "
             f"{low:.4g} to {high:.4g} N: expected {wanted} or so",

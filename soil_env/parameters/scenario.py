@@ -211,9 +211,9 @@ def _on_base(
     """The mapping of a scenario, without the key `base`: where it has one, merged over the scenario
     that `base` names, but for the `name` of that. `above` as in `_given`.
     """
-    if "base" not in mapping:
-        return dict(mapping)
     own = dict(mapping)
+    if "base" not in own:
+        return own
     base = own.pop("base")
     if not isinstance(base, str) or not base:
         raise ParameterError(

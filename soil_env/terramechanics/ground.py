@@ -3,10 +3,11 @@ the border of two. Copies are made of slices, since numba has no `_replace`.
 """
 
 from soil_env._compiled.elementary import exp, log
-from soil_env._compiled.flags import compiled, record
+from soil_env._compiled.flags import compiled, put_fields, record
 from soil_env.parameters import SoilState
 
-SOIL = record(*SoilState._fields)  # a `SoilState` as a record
+_FIELDS = SoilState._fields
+SOIL = record(*_FIELDS)  # a `SoilState` as a record
 LEAST_COVER = 1e-3  # [m] depth of firm ground below the floor of a rut, at least; own choice
 
 
@@ -75,19 +76,7 @@ def with_digging(soil, exponent, gain, recovery):
 @compiled
 def put_soil(record, soil):
     """Write a `SoilState` into a record that has its fields."""
-    record.tan_phi = soil.tan_phi
-    record.cohesion = soil.cohesion
-    record.shear_modulus = soil.shear_modulus
-    record.sinkage_coefficient = soil.sinkage_coefficient
-    record.sinkage_exponent = soil.sinkage_exponent
-    record.dig_gain = soil.dig_gain
-    record.dig_recovery = soil.dig_recovery
-    record.rim_flow = soil.rim_flow
-    record.braked_peak = soil.braked_peak
-    record.shear_growth = soil.shear_growth
-    record.shear_length = soil.shear_length
-    record.layer_gain = soil.layer_gain
-    record.layer_depth = soil.layer_depth
+    put_fields(record, soil, _FIELDS)
 
 
 @compiled

@@ -50,7 +50,6 @@ from .effects.grousers import (
     shear_radius_ratio,
 )
 from .effects.shear_softening import JANOSI, mobilisation, shear_length_ratio
-from .effects.sinkage_offset import sinkage_zero
 from .effects.slip_bias import true_slip
 from .effects.slip_sinkage import apparent_ratio, excavated_depth, slip_sinkage_ratio
 from .ground import stiffened, strengthened, with_strength
@@ -428,7 +427,7 @@ def _as_measured(w, z, balance, speed, wheel, fx):
         slide = sliding_speed(balance.slip, speed)
         wheel_speed = (speed + (slide if balance.slip > 0.0 else -slide)) / wheel.radius
         torque = drive_torque(torque, wheel_speed, LEAST_TURNING, fx)
-        return sinkage + sinkage_zero(fx), pull, torque
+        return sinkage + fx.sinkage_offset_offset, pull, torque
 
 
 @compiled

@@ -32,20 +32,23 @@ def check(validity: Mapping[str, tuple[float, float]]) -> None:
             raise ParameterError(f"validity.{name} = {pair}: expected [lowest, highest]")
 
 
+def columns_of(rows: Any) -> dict[str, np.ndarray]:
+    """{condition: values [N]} of `steady.Rows`, in the units of a measurement table.
+
+    Grades are to six decimals, without what sine and arcsine lose of the table's own.
+    """
+    speed, passes, sine = rows.conditions.T
+    grade = np.round(np.degrees(np.arcsin(sine)), 6)
+    return dict(zip(CONDITIONS, (rows.slip, rows.load, speed, passes, grade), strict=True))
+
+
 def ranges_of(rows: Any) -> dict[str, tuple[float, float]]:
     """{condition: (lowest, highest)} of `steady.Rows`.
 
     A speed of 0 stands for one not known, and is left out; so is a condition without any row.
-    Grades are in degrees, to six decimals, since the sine that they are from rounds them.
     """
-    speed, passes, sine = rows.conditions.T
-    columns = {
-        "slip": rows.slip,
-        "load": rows.load,
-        "speed": speed[speed > 0.0],
-        "pass": passes,
-        "grade_deg": np.round(np.degrees(np.arcsin(sine)), 6),
-    }
+    columns = columns_of(rows)
+    columns["speed"] = columns["speed"][columns["speed"] > 0.0]
     return {name: (float(x.min()), float(x.max())) for name, x in columns.items() if x.size}
 
 
@@ -70,9 +73,8 @@ def outside(validity: Mapping[str, tuple[float, float]], rows: Any) -> str:
 
 def in_words(validity: Mapping[str, tuple[float, float]]) -> str:
     """The ranges as text: "slip 0.04 to 0.55, load 63.1 to 149 N, ..."; `grade_deg` is "grade"."""
-    titles = {"grade_deg": "grade"}
     return ", ".join(
-        f"{titles.get(k, k)} {_span(low, high, CONDITIONS[k])}"
+        f"{k.removesuffix('_deg')} {_span(low, high, CONDITIONS[k])}"
         for k, (low, high) in validity.items()
     )
 

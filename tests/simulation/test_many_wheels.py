@@ -32,7 +32,7 @@ def test_a_wheel_that_fails_goes_on_alone():
         wheel.sinkage = 0.15
         wheel.speed = 40.0
         wheel.wheel_speed = -400.0
-        wheel.pull_by_speed = 1e9
+        wheel.pull_v = 1e9
     for _ in range(3):
         for k in range(WHEELS):
             alone.step(0.4, [k])

@@ -12,6 +12,7 @@ from soil_env._io.loading import ParameterError
 from soil_env.measurement.setup import Setup
 from soil_env.measurement.table import MEASURED, Table
 from soil_env.terramechanics.model import ModelWheel, Rows, rows_of
+from soil_env.terramechanics.validity import columns_of
 
 from .form_error import LOGARITHMIC
 
@@ -137,16 +138,7 @@ def combinations_of(levels: Sequence[np.ndarray]) -> np.ndarray:
 
 def conditions_of(rows: Rows) -> dict[str, np.ndarray]:
     """Conditions [N] of rows by the columns of a table, in their units."""
-    speed, passes, sine = rows.conditions.T
-    return {
-        "slip": rows.slip,
-        "load": rows.load,
-        "speed": speed,
-        "pass": passes,
-        # Rounded to what the table said, without what sine and arcsine lose.
-        "grade_deg": np.round(np.degrees(np.arcsin(sine)), 6),
-        **dict(zip(WHEEL, rows.wheels.T, strict=True)),
-    }
+    return columns_of(rows) | dict(zip(WHEEL, rows.wheels.T, strict=True))
 
 
 def prepare(table: Table, setup: Setup) -> Data:

@@ -6,7 +6,7 @@ of an axle.
 """
 
 from soil_env._compiled.elementary import sin_cos
-from soil_env._compiled.flags import compiled_finite, inlined
+from soil_env._compiled.flags import compiled_finite, inlined, put_fields
 from soil_env.simulation.world.dynamics import (
     FINEST,
     GAMMA,
@@ -32,10 +32,16 @@ from soil_env.simulation.world.wheel import (
     set_slip,
 )
 from soil_env.terramechanics.ground import put_soil, soil_of
+from soil_env.terramechanics.reaction import ExtraForces, Footing
 
 from .body import set_pitch
 from .newton import equation_of, foresee, solve_speeds
 from .ruts import copy_rut_behind
+
+# fields of a `FOOT` by the part of a `Stand` that has them
+_OF_GROUND = ("sinkage", "rolled", "grade")
+_OF_FOOTING = Footing._fields
+_OF_EXTRA = ExtraForces._fields
 
 
 @compiled_finite
@@ -48,31 +54,15 @@ def _stage_of(number, h, wheel, foot, rig):
 
 @inlined
 def _keep_stand(foot, stand):
-    """Write a `Stand` into a `FOOT`, but for the load of its footing, which follows from the
-    suspension.
+    """Write a `Stand` into a `FOOT`. The load of its footing is that of a wheel by itself:
+    `solve_speeds` begins with the loads that follow from the suspension.
     """
     put_soil(foot, stand.ground.soil)
-    foot.sinkage = stand.ground.sinkage
-    foot.rolled = stand.ground.rolled
-    foot.grade = stand.ground.grade
+    put_fields(foot, stand.ground, _OF_GROUND)
     foot.along = stand.along
     # After the soil, three of whose values it replaces: strength and K are those of this contact.
-    footing = stand.footing
-    foot.theta1 = footing.theta1
-    foot.p_cos = footing.p_cos
-    foot.p_sin = footing.p_sin
-    foot.tan_phi = footing.tan_phi
-    foot.cohesion = footing.cohesion
-    foot.shear_modulus = footing.shear_modulus
-    foot.carry = footing.carry
-    foot.most_carried = footing.most_carried
-    extra = stand.extra
-    foot.lift = extra.lift
-    foot.bulldozing = extra.bulldozing
-    foot.blades = extra.blades
-    foot.pull = extra.pull
-    foot.torque = extra.torque
-    foot.unfelt = extra.unfelt
+    put_fields(foot, stand.footing, _OF_FOOTING)
+    put_fields(foot, stand.extra, _OF_EXTRA)
 
 
 @inlined

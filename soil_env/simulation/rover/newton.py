@@ -13,9 +13,10 @@ leaves in `feet`, `found` and `trial` it leaves in `world.stage` (`STAGE`).
 from typing import Any, NamedTuple
 
 from soil_env._compiled.elementary import sin_cos
-from soil_env._compiled.flags import HUGE, compiled_finite, inlined, record
+from soil_env._compiled.flags import HUGE, compiled_finite, inlined, put_fields, record
 from soil_env.parameters import MOST_AXLES, SoilState
 from soil_env.simulation.world.newton import (
+    LASTING,
     LEAST_GAIN,
     PASSES,
     SHORT,
@@ -23,7 +24,6 @@ from soil_env.simulation.world.newton import (
     TOLERANCE,
     TRIES,
     divisor,
-    last_force,
     near_enough,
 )
 from soil_env.terramechanics.contact import ARC_NODES
@@ -65,6 +65,7 @@ FOOT = record(
     *ExtraForces._fields,
     by_speed=("i8",),
 )
+_OF_REACTION = Reaction._fields
 #: Rotation of an axle at some speeds, with the `Reaction` there.
 TURNING = record(
     "rim",  # u [m/s]
@@ -72,7 +73,7 @@ TURNING = record(
     "motor_slope",  # d T_motor/dw [N m s]
     "change",  # [m/s] of u in a step of Newton's method
     "change_v",  # [-] of u with V in such a step
-    *Reaction._fields,
+    *_OF_REACTION,
 )
 
 
@@ -110,21 +111,6 @@ def equation_of(speed, duration, mass, rig):
     return Equation(speed, duration / mass, duration * rig.radius / rig.inertia)
 
 
-@inlined
-def _put_reaction(turning, force):
-    """Write a `Reaction` into a `TURNING`."""
-    turning.load = force.load
-    turning.drawbar_pull = force.drawbar_pull
-    turning.torque = force.torque
-    turning.sinkage_coefficient = force.sinkage_coefficient
-    turning.pull_v = force.pull_v
-    turning.pull_u = force.pull_u
-    turning.torque_v = force.torque_v
-    turning.torque_u = force.torque_u
-    turning.sinkage_coefficient_v = force.sinkage_coefficient_v
-    turning.sinkage_coefficient_u = force.sinkage_coefficient_u
-
-
 @compiled_finite
 def newton_step(residual, equation, world):
     """dV [m/s] of a step of Newton's method from the speeds in `found`; each axle of `found` gets
@@ -154,8 +140,8 @@ def foresee(rover, equation, world):
     """dV [m/s] of a rover from its present speed to the end of a stage, by the reactions of the
     last stage to first order.
 
-    `found` gets those reactions and the `change` of u of each axle, likewise from the present rim
-    speed. The stage begins at V* of `equation` and at `rim_start` of each axle.
+    `found` gets those reactions (`LASTING`) and the `change` of u of each axle, likewise from the
+    present rim speed. The stage begins at V* of `equation` and at `rim_start` of each axle.
     """
     rig = world.rig
     residual = rover.wheels[0].speed - equation.speed
@@ -163,7 +149,7 @@ def foresee(rover, equation, world):
         wheel = rover.wheels[a]
         foot = world.stage.feet[a]
         found = world.stage.found[a]
-        _put_reaction(found, last_force(wheel))
+        put_fields(found, wheel, LASTING)
         torque, slope = motor_torque(foot.command, foot.by_speed > 0, wheel.wheel_speed, rig)
         found.rim = rig.radius * wheel.wheel_speed
         found.residual = found.rim - foot.rim_start - equation.by_torque * (torque - wheel.torque)
@@ -218,7 +204,7 @@ def _evaluate(v, equation, world):
         u = trial.rim
         force = reaction(world.stage.nodes[a], foot, v, u, rig, foot, world.acting)
         torque, slope = motor_torque(foot.command, foot.by_speed > 0, u / rig.radius, rig)
-        _put_reaction(trial, force)
+        put_fields(trial, force, _OF_REACTION)
         trial.residual = u - foot.rim_start - equation.by_torque * (torque - force.torque)
         trial.motor_slope = slope
         pull += force.drawbar_pull - foot.along

@@ -32,11 +32,6 @@ class Cause(enum.IntEnum):
 
 
 RUNNING = Cause.RUNNING.value
-FINISHED = Cause.FINISHED.value
-ENTRAPPED = Cause.ENTRAPPED.value
-STALLED = Cause.STALLED.value
-BOGGED = Cause.BOGGED.value
-TIME_LIMIT = Cause.TIME_LIMIT.value
 
 #: Constants of the task: of the scenario, then `Limits` and `RewardWeights`.
 TASK = record(
@@ -95,9 +90,9 @@ def judge(vehicle, task):
     rim was slower than `stalled_rim_speed` for most of that time, else ENTRAPPED. In a halt only
     FINISHED and the time limit hold.
     """
-    otherwise = TIME_LIMIT if vehicle.steps >= task.periods else RUNNING
+    otherwise = Cause.TIME_LIMIT if vehicle.steps >= task.periods else Cause.RUNNING
     if vehicle.x >= task.length:
-        return FINISHED
+        return Cause.FINISHED
     if vehicle.halt_left > 0.0:
         return otherwise
     if vehicle.best_x >= vehicle.mark_x + task.no_progress_distance:
@@ -109,9 +104,10 @@ def judge(vehicle, task):
         if abs(vehicle.wheel_speed) * task.radius < task.stalled_rim_speed:
             vehicle.stalled_time += task.period
     if vehicle.sinkage > task.bogged_sinkage * task.radius:
-        return BOGGED
+        return Cause.BOGGED
     if vehicle.idle_time >= task.no_progress_time - ROUNDING or vehicle.x < -BEHIND:
-        return STALLED if vehicle.stalled_time > MOST_OF_IT * vehicle.idle_time else ENTRAPPED
+        stalled = vehicle.stalled_time > MOST_OF_IT * vehicle.idle_time
+        return Cause.STALLED if stalled else Cause.ENTRAPPED
     return otherwise
 
 
@@ -143,5 +139,5 @@ def judge_period(vehicle, task):
     terms[0] += task.progress * vehicle.travel / task.length
     work = max(vehicle.motor_work, 0.0)
     terms[1] -= task.energy * work / (vehicle.mass * task.gravity * task.length)
-    if cause != RUNNING and cause != FINISHED:
+    if cause != Cause.RUNNING and cause != Cause.FINISHED:
         terms[2] -= task.immobilisation

@@ -11,7 +11,7 @@ import math
 from typing import NamedTuple
 
 from soil_env._compiled.elementary import sin_cos, smoothed_sign
-from soil_env._compiled.flags import compiled_finite, inlined
+from soil_env._compiled.flags import compiled_finite, inlined, put_fields
 from soil_env.slip import braked_share
 from soil_env.terramechanics.effects.multipass import in_rut
 from soil_env.terramechanics.ground import below_rut
@@ -25,9 +25,9 @@ from soil_env.terramechanics.reaction import (
     lay_footing,
 )
 
-from .newton import Stage, foreseen, solve_speeds
+from .newton import LASTING, Stage, foreseen, solve_speeds
 from .routes import choosing, plan_halt, set_route
-from .terrain import grade_on, in_cell, pass_at, piece_at, rut_at, soil_on
+from .terrain import find_ground, in_cell, pass_at, rut_at
 from .wheel import (
     Ahead,
     Ground,
@@ -133,10 +133,7 @@ def ground_ahead(wheel, stage, course, cells, border, effects):
     act in the world, or None. `wheel.patch` and `wheel.slope` are set to the indices there.
     """
     x = wheel.x + 0.5 * stage.duration * wheel.speed
-    wheel.patch = piece_at(course.patches, x, wheel.patch)
-    wheel.slope = piece_at(course.slopes, x, wheel.slope)
-    soil = soil_on(course.patches, x, wheel.patch, border)
-    grade = grade_on(course.slopes, x, wheel.slope, border)
+    soil, grade = find_ground(wheel, course, x, border)
     passes = pass_at(cells, x)
     floor, rolled = rut_at(cells, x)
     if floor + rolled > 0.0:
@@ -206,13 +203,7 @@ def move(wheel, end, stage, ground, drive, rig):
     wheel.wheel_speed = end.rim / rig.radius
     wheel.grade = ground.grade
     wheel.unfelt = ground.unfelt
-    wheel.load = force.load
-    wheel.drawbar_pull = force.drawbar_pull
-    wheel.torque = force.torque
-    wheel.pull_by_speed = force.pull_v
-    wheel.pull_by_rim = force.pull_u
-    wheel.torque_by_speed = force.torque_v
-    wheel.torque_by_rim = force.torque_u
+    put_fields(wheel, force, LASTING)
     if not end.converged:
         wheel.converged = 0
 

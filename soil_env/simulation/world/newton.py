@@ -28,6 +28,9 @@ OF_CHANGE = 0.1  # [-]
 BEFORE_FIRST = 0.1
 SHORT = 0.1  # [of the rim speed] foreseen change up to which the first try is the foreseen speed
 LEAST_PIVOT = 1e-12  # [-] size of a number that a step is divided by, at least
+#: Fields of a `Reaction` that the record of a wheel has too, from its last stage: all but S and its
+#: derivatives, which a foreseen change of speed does not need.
+LASTING = tuple(name for name in Reaction._fields if not name.startswith("sinkage"))
 
 
 class Stage(NamedTuple):
@@ -62,9 +65,9 @@ def divisor(x):
 def newton_step(f1, f2, cv, cu, force, net_u):
     """(dV, du) [m/s] of Newton's method for the residuals f1 of travel and f2 of rotation [m/s].
 
-    `cv` = h/m, `cu` = h r/J; `force`: `Reaction` with its derivatives; `net_u` = d(T - T_motor)/du.
-    It solves the two equations on top of this module, linearised, by Cramer's rule, with `divisor`
-    of their determinant.
+    `cv` = h/m, `cu` = h r/J; `force`: `Reaction` with its derivatives, or a wheel, which has those
+    of its last stage (`LASTING`); `net_u` = d(T - T_motor)/du. It solves the two equations on top
+    of this module, linearised, by Cramer's rule, with `divisor` of their determinant.
     """
     a11 = 1.0 - cv * force.pull_v
     a12 = -cv * force.pull_u
@@ -72,25 +75,6 @@ def newton_step(f1, f2, cv, cu, force, net_u):
     a22 = 1.0 + cu * net_u
     determinant = divisor(a11 * a22 - a12 * a21)
     return -(a22 * f1 - a12 * f2) / determinant, -(a11 * f2 - a21 * f1) / determinant
-
-
-@inlined
-def last_force(wheel):
-    """`Reaction` of a wheel's last stage; S and its derivatives, which a foreseen change of speed
-    does not need, are 0.
-    """
-    return Reaction(
-        wheel.load,
-        wheel.drawbar_pull,
-        wheel.torque,
-        0.0,
-        wheel.pull_by_speed,
-        wheel.pull_by_rim,
-        wheel.torque_by_speed,
-        wheel.torque_by_rim,
-        0.0,
-        0.0,
-    )
 
 
 @compiled_finite
@@ -102,11 +86,10 @@ def foreseen(wheel, drive, back_v, back_u, h, along, rig):
     """
     cv = h / wheel.mass
     cu = h * rig.radius / rig.inertia
-    force = last_force(wheel)
     torque, slope = motor_torque(drive.command, drive.by_speed, wheel.wheel_speed, rig)
-    f1 = back_v - cv * (force.drawbar_pull - along)
-    f2 = back_u - cu * (torque - force.torque)
-    return newton_step(f1, f2, cv, cu, force, force.torque_u - slope / rig.radius)
+    f1 = back_v - cv * (wheel.drawbar_pull - along)
+    f2 = back_u - cu * (torque - wheel.torque)
+    return newton_step(f1, f2, cv, cu, wheel, wheel.torque_u - slope / rig.radius)
 
 
 @inlined

@@ -100,16 +100,14 @@ def scattered(mean, share, owner, spec):
     `variation` are in the order of `DISTRIBUTION`, which `spec` is.
     """
     z = normal_pair(owner) + normal_pair(owner) + normal_pair(owner)
-    rows = spec.factor
-    variation = spec.variation
-    friction = share * variation[0] * _deviation(rows[0], z)
+    friction = share * spec.variation[0] * _deviation(spec.factor[0], z)
     mean_phi = math.atan(mean.tan_phi)
     phi = min(mean_phi * (1.0 + friction), max(mean_phi, STEEPEST_FRICTION))
-    cohesion = mean.cohesion * _log_normal(share * variation[1], _deviation(rows[1], z))
-    modulus = mean.shear_modulus * _log_normal(share * variation[2], _deviation(rows[2], z))
-    stiffer = _log_normal(share * variation[3], _deviation(rows[3], z))
-    gain = mean.dig_gain * _log_normal(share * variation[4], _deviation(rows[4], z))
-    n = mean.sinkage_exponent * (1.0 + share * variation[5] * _cut(z[5]))
+    cohesion = mean.cohesion * _log_normal(1, share, spec, z)
+    modulus = mean.shear_modulus * _log_normal(2, share, spec, z)
+    stiffer = _log_normal(3, share, spec, z)
+    gain = mean.dig_gain * _log_normal(4, share, spec, z)
+    n = mean.sinkage_exponent * (1.0 + share * spec.variation[5] * _cut(z[5]))
     depth = spec.reference_sinkage
     pressure = mean.sinkage_coefficient * depth**mean.sinkage_exponent * stiffer  # [Pa] at `depth`
     coefficient = pressure / depth**n
@@ -135,12 +133,13 @@ def _deviation(row, z):
 
 
 @compiled
-def _log_normal(variation, deviation):
-    """Log-normal factor with this coefficient of variation, of mean 1 but for the cut, at a
-    deviation [sigma].
+def _log_normal(k, share, spec, z):
+    """Log-normal factor, of mean 1 but for the cut, on the property with the number k in
+    `variation`, of which a `share` is taken; its deviation is that of `_deviation`.
     """
+    variation = share * spec.variation[k]
     s = math.sqrt(math.log(1.0 + variation * variation))
-    return math.exp(s * deviation - 0.5 * s * s)
+    return math.exp(s * _deviation(spec.factor[k], z) - 0.5 * s * s)
 
 
 @compiled

@@ -170,6 +170,17 @@ def grade_on(slopes, x, slope, border):
 
 
 @compiled
+def find_ground(wheel, course, x, border):
+    """(`SoilState`, grade [rad]) of the undisturbed ground at x [m] of a course; `border` [m] as in
+    `soil_on`. `wheel.patch` and `wheel.slope`, near which it is sought, become the indices there.
+    """
+    wheel.patch = piece_at(course.patches, x, wheel.patch)
+    wheel.slope = piece_at(course.slopes, x, wheel.slope)
+    soil = soil_on(course.patches, x, wheel.patch, border)
+    return soil, grade_on(course.slopes, x, wheel.slope, border)
+
+
+@compiled
 def cell_at(cells, x):
     """Index of the rut cell at x [m]; the first begins `BEHIND` metres before the start.
 

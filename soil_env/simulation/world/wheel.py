@@ -32,7 +32,7 @@ from soil_env.terramechanics.reaction import BASE, REST_SPEED, Acting, acting_on
 from soil_env.terramechanics.steady import DEEPEST, Conditions, Point, rim_of, steady_at
 
 from .sensors import READING
-from .terrain import cell_after, cell_at, grade_on, leave_rut, piece_at, soil_on
+from .terrain import cell_after, cell_at, find_ground, leave_rut
 
 SHALLOWEST = 1e-4  # [radii] least sinkage of a wheel
 # [of the top rim speed] that rim acceleration can command backwards, to back out of a hole
@@ -70,10 +70,10 @@ WHEEL = record(
     "rut_depth",  # [m] of the ground under the wheel where it has been before
     # of the last stage
     "mass",  # [kg]
-    "pull_by_speed",  # dDP/dV [N s/m] at the end of the last stage
-    "pull_by_rim",  # dDP/d(r w)
-    "torque_by_speed",  # dT/dV [N s]
-    "torque_by_rim",  # dT/d(r w)
+    "pull_v",  # dDP/dV [N s/m] at the end of the last stage, with the names of a `Reaction`
+    "pull_u",  # dDP/d(r w)
+    "torque_v",  # dT/dV [N s]
+    "torque_u",  # dT/d(r w)
     "bearing_sinkage",  # z_w [m] from where `sinkage` is measured
     "unfelt",  # [m] sinkage of a residual law, which is read beyond z
     # of the last control period
@@ -434,10 +434,7 @@ def settle_at(wheel, x, mass, course, world):
     are scratch.
     """
     rig = world.rig
-    wheel.patch = piece_at(course.patches, x, 0)
-    wheel.slope = piece_at(course.slopes, x, 0)
-    soil = soil_on(course.patches, x, wheel.patch, rig.border)
-    grade = grade_on(course.slopes, x, wheel.slope, rig.border)
+    soil, grade = find_ground(wheel, course, x, rig.border)
     load = mass * rig.gravity * math.cos(grade)
     at_rest = Conditions(0.0, 1.0, math.sin(grade))
     effects = world.acting.effects

@@ -72,7 +72,6 @@ from . import (
     soil_flow,
     stress_peak_shift,
 )
-from .drivetrain_friction import friction_at
 from .entry import Effect
 
 #: Modules of this folder, one an effect, in the order of every list of effects.
@@ -200,7 +199,7 @@ def drive_friction(torque, wheel_speed, floor, fx):
     """`Friction` between motor and axle at a torque [N m] of the axle and a wheel speed [rad/s]; it
     fades out below the wheel speed `floor` [rad/s].
     """
-    return friction_at(torque, wheel_speed, floor, fx)
+    return drivetrain_friction.friction_at(torque, wheel_speed, floor, fx)
 
 
 @compiled

@@ -1,14 +1,6 @@
 """Offset of the measured sinkage."""
 
-from soil_env._compiled.flags import compiled
-
 from .entry import SINKAGE, Bench, Effect, EffectParameter as P, Form, Priors
-
-
-@compiled
-def sinkage_zero(fx):
-    """Reading [m] of the sinkage sensor at no sinkage."""
-    return fx.sinkage_offset_offset
 
 
 def _priors(bench: Bench) -> Priors:
