@@ -12,8 +12,8 @@ from soil_env._compiled.flags import compiled
 
 #: [m/s] least speed that a slip is divided by, so that a wheel at rest has slip 0.
 SLOWEST = 1e-3
-#: [-] least V/(r w) of a wheel that spins, from which the speed of its rim is known, and least
-#: r w/V of one that is braked, from which its travel speed is.
+#: [-] least V/(r w) from which the rim speed of a spinning wheel is known; also least r w/V from
+#: which the travel speed of a braked one is.
 LEAST_TRAVEL_RATIO = 0.02
 LEAST_ROLLING = 1e-9  # [-] least r w / V of a braked wheel that anything is divided by
 

@@ -108,7 +108,8 @@ class CommonVecEnv(SoilWheelVecEnv):
 class Moments(RunningMeanStd):
     """Running mean and variance of each entry; the two routes ahead have those of both together.
 
-    `routes`: indices of the entries of each route, in the same order; empty without a choice.
+    `routes`: indices of the entries of each route, in the same order; two empty lists without a
+    choice.
     """
 
     def __init__(self, shape: tuple[int, ...], routes: Sequence[list[int]]):

@@ -33,7 +33,7 @@ NO_ROVER = (
     "course.halt_before",
     "wheel.body_mass",
 )
-#: Keys that are no fields of a class (`more_keys`).
+#: Meanings of the `more_keys` of a class.
 MORE = {
     "base": "name or file of which the other keys are changes",
     "preset": "name of a wheel of which the other keys are changes",
@@ -69,7 +69,7 @@ def command(kind: str) -> None:
 def keys_of(
     cls: type, without: Collection[str], said: Mapping[str, str], above: str = ""
 ) -> Iterator[str]:
-    """Yield a line for each key of a dataclass, those in `MORE` first, then a heading and the lines
+    """Yield a line for each key of a dataclass, its `more_keys` first, then a heading and the lines
     of each dataclass in it.
 
     `without`: keys that are left out; `said`: words in place of the default of a key; `above`: path

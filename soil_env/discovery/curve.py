@@ -3,9 +3,9 @@ without a law of soils.
 
     y = (W/W0)^p a + (W/W0)^q b [1 - exp(-|i| / (k (W/W0)^m))]        i >= 0
 
-and with minus the second term for i < 0, with a b of its own if enough rows are braked;
-after the shear curve of Janosi & Hanamoto (1961); W0 is the geometric mean of the loads. The
-amplitudes a and b are linear, k is sought on a grid; where the loads differ, k, p, q and m are
+For i < 0 the second term has the opposite sign, and a b of its own if enough rows are braked. The
+form is that of the shear curve of Janosi & Hanamoto (1961). W0 is the geometric mean of the loads.
+The amplitudes a and b are linear, k is sought on a grid; where the loads differ, k, p, q and m are
 fitted.
 """
 

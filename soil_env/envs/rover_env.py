@@ -155,8 +155,9 @@ class SoilRoverEnv(CourseEnv):
     `rover`: name, path of a YAML file, or `RoverScenario`; `observation`; `action`;
     `repeat`; `render_mode`: "rgb_array" or "human"; `info`; `scaled`; any field of `RoverScenario`
     as a keyword, merged over the rover's, e.g. `course={"length": 20}` or `vehicle={"mass": 12}`.
-    The wheels carry the vehicle's mass in equal shares, so `wheel={"body_mass": ...}` is refused,
-    as are terrain classes. Unknown keys and values out of range raise `soil_env.ParameterError`.
+    `body_mass` is the vehicle's mass over the number of wheels, so `wheel={"body_mass": ...}` is
+    refused, as are terrain classes. Unknown keys and values out of range raise
+    `soil_env.ParameterError`.
 
     `model`, `scatter`: as for SoilWheel-v0. For the effect multipass the wheel of the second axle
     makes the second pass over a rut, and so on.

@@ -106,11 +106,11 @@ def align(
     on_axis = (grid >= 0) & (grid <= steps["wheel_speed"].max())
     readings = {}
     between = {}  # by channel, True at the steps whose value is interpolated
-    for name in measured:
+    for name, channel in measured.items():
         # By reading of the channel: index in `grid` of its step.
         on_grid = np.searchsorted(grid, steps[name])
         counts = np.bincount(on_grid, minlength=grid.size)
-        sums = np.bincount(on_grid, np.frombuffer(measured[name].values), grid.size)
+        sums = np.bincount(on_grid, np.frombuffer(channel.values), grid.size)
         means = np.divide(sums, counts, out=np.full(grid.size, math.nan), where=counts > 0)
         values, filled = interpolated(grid * period, means, max_gap)
         readings[name] = values[on_axis]

@@ -140,11 +140,12 @@ class _Doubts:
 
     def _speeds(self) -> bool:
         """Compare rim speed, travel speed and slip: add the first doubt found, and return True if
-        there is none.
+        both speeds are sound.
 
         Compared are first the sizes of the two speeds (`_wrong_ratio`), then their directions, then
         the slip with that of the speeds. Nothing is doubtful where fewer than `_LEAST` steps drive
-        with both speeds. False without a doubt where one of the two is 0 throughout.
+        with both speeds. A speed of 0 throughout is not sound, and is doubted later
+        (`_stuck_sensors`).
         """
         rim = self.rim
         speed = self.speed
@@ -154,8 +155,9 @@ class _Doubts:
         both = moves if moves.sum() >= _LEAST else both
         if both.sum() < _LEAST:
             return True
-        if not (np.any(rim[both]) and np.any(speed[both])):
-            return False  # a speed of 0 throughout is left to `_stuck_sensors`
+        for name in ("wheel_speed", "speed"):
+            if self._is_stuck(name) and not np.any(self._driven(self.log.get(name))):
+                return False  # a speed of 0 throughout is left to `_stuck_sensors`
         wrong = self._wrong_ratio(both, moves)
         if wrong is not None:
             ratio, (low, high) = wrong
@@ -273,15 +275,22 @@ class _Doubts:
             said = f"{slope:.2g} times the slope that {self._place(name)} feels"
             self._doubt("pitch", said, "the same slope", "another sign of one of the two")
 
+    def _is_stuck(self, name: str) -> bool:
+        """True if a reading that is no constant of the map has one value in all steps that drive,
+        `_LEAST` or more.
+        """
+        values = self._driven(self.log.get(name))
+        one = values.size >= _LEAST and np.ptp(values) == 0.0
+        return bool(one and self.map.channels[name].constant is None)
+
     def _stuck_sensors(self) -> None:
         """Doubt speeds, sinkage, pull and torques with one value in all steps that drive.
 
         The other readings are left out.
         """
         for name in ("wheel_speed", "speed", "sinkage", "drawbar_pull", "torque", "motor_torque"):
-            values = self._driven(self.log.get(name))
-            stuck = values.size >= _LEAST and np.ptp(values) == 0.0
-            if stuck and self.map.channels[name].constant is None:
+            if self._is_stuck(name):
+                values = self._driven(self.log.get(name))
                 said = f"{values[0]:.3g} {si_unit(name)} in all {values.size} steps that drive"
                 self._doubt(name, said, "the noise of a sensor", "a stuck sensor, or a command")
 

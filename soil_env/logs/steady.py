@@ -29,6 +29,7 @@ from scipy.signal import detrend
 
 from soil_env._io.loading import plural
 from soil_env.identification.online.prior import depth_of
+from soil_env.measurement.setup import setup_of
 from soil_env.measurement.table import MEASURED
 from soil_env.online import Estimate
 from soil_env.parameters import FLOW_LAW
@@ -388,7 +389,9 @@ def _priors(
     belief = log_map.belief
     K = prior.shear_modulus
     n = belief.sinkage_exponent
-    stated = log_map.soil.get("sinkage_exponent", n)
+    wheel = {"radius": log_map.wheel.radius, "width": log_map.wheel.width}
+    known = setup_of({"wheel": wheel, "soil": log_map.soil}, "soil").soil.sinkage_exponent
+    stated = n if known is None else known.value
     S = prior.sinkage_coefficient * depth_of(log_map.wheel) ** (n - stated)
     gain = prior.dig_gain if estimate is None else estimate["dig_gain"]
     priors = {

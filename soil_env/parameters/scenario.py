@@ -300,7 +300,7 @@ def _merged(mapping: Keys, changes: Keys, where: str) -> Keys:
     if "wheel" in changes:
         wheel = changes["wheel"]
         if not isinstance(wheel, dict):
-            mapping["wheel"] = _plain(changes.pop("wheel"))
+            mapping["wheel"] = changes.pop("wheel")  # an object stays one
         elif "preset" in wheel:
             mapping.pop("wheel", None)
     if isinstance(mapping.get("wheel"), str):

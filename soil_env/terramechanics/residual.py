@@ -4,8 +4,8 @@ dimensionless groups and as a table over them.
     sinkage / r, drawbar pull / W, torque / (W r)   +=   sum of  a  prod_g  group_g ^ p_g  +  table
 
 `discovery.prediction` makes tables, with standard deviations. Neither terms nor a table have a
-claim to hold outside the conditions they were found in. So every group is held inside the range
-that it had there.
+claim to hold outside the conditions they were found in. So a table is constant beyond its nodes,
+and a term holds the groups that have a range.
 """
 
 import math

@@ -2,6 +2,8 @@
 training.
 """
 
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -215,6 +217,8 @@ def test_hidden_sizes_are_within_the_priors_of_the_wheel(scenario):
         assert values.get("sharpness", 1.0) >= 1.0  # below 1 the law is off
     assert len(forms) == 3
     onsets = [v["onset"] for w in worlds for v in w.effects.values() if "onset" in v]
+    lengths = [v["length"] for w in worlds for v in w.effects.values() if "length" in v]
+    assert max(lengths) <= 0.3 * radius * math.exp(0.7)  # about a centre that goes with the radius
     assert 0.0 < min(onsets) and 0.1 * radius < max(onsets) <= 0.15 * radius
 
 

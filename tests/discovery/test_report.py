@@ -539,7 +539,12 @@ def test_digging_of_the_setup_is_no_missing_effect(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("sure", "words"), [(0.75, "would hardly help"), (0.9, "at least 90 % after them")]
+    ("sure", "words"),
+    [
+        (0.75, "would hardly help"),
+        (0.9, "at least 90 % after them"),
+        (0.996, "at least 99 % after them"),
+    ],
 )
 def test_runs_that_separate_nothing_are_not_recommended(sure, words):
     """Candidates with 0.85 and 0.15: the right one has 0.745 on average now."""

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 
 from soil_env._io.files import MANIFEST
 from soil_env.cli import main
@@ -289,6 +290,16 @@ def test_an_estimate_of_no_soil_is_refused_in_one_line(log_map, monkeypatch, nam
     rows = list(csv.DictReader(written["estimates.csv"].splitlines()))
     assert rows[-1][name] == rows[34][name] == "" and rows[29][name] and rows[39][name]
     assert json.loads(written["log.json"])["estimate"][name] is None
+
+
+def test_a_map_may_state_the_exponent_with_its_standard_deviation(without_digging):
+    log_map = replace(without_digging, soil={"sinkage_exponent": {"value": "8e-1", "sd": 0.1}})
+    found, steady = learnt(made([(s, 4.0) for s in (0.1, 0.3, 0.5)]), log_map)
+    text = setup_text(log_map, steady, found.prior, None)
+    S = yaml.safe_load(text)["soil"]["sinkage_coefficient"]["value"]
+    b = log_map.belief
+    deep = (0.2 * log_map.wheel.radius) ** (b.sinkage_exponent - 0.8)
+    assert S == pytest.approx(b.sinkage_coefficient * deep, rel=1e-3)
 
 
 def test_the_setup_of_a_log_has_the_belief_as_priors(without_digging, tmp_path):

@@ -119,6 +119,13 @@ def test_a_speed_of_zero_is_of_a_stuck_sensor_and_not_in_another_unit(logs, name
     assert f"column {name}" in stuck and "stuck" in stuck
 
 
+def test_a_speed_of_zero_that_the_map_states_is_doubted_beside_a_wheel_that_turns(logs):
+    log, log_map = logs["mixed"][0]
+    channels = log_map.channels | {"speed": Source(constant=0.0)}
+    (line,) = doubts(changed(log, speed=0.0), replace(log_map, channels=channels))
+    assert "times the travel speed" in line
+
+
 @pytest.mark.parametrize(("factors", "where", "proposed"), WRONG.values(), ids=WRONG)
 def test_each_wrong_reading_is_doubted_in_one_line(logs, factors, where, proposed):
     for log, log_map in logs["mixed"]:

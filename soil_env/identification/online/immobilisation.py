@@ -44,7 +44,7 @@ _MOST_TORQUE = 1.5  # [of available torque] at which the motor torque is cut; br
 # [s] Speeds enter as asinh of this times radii a second, so that a slow wheel is resolved.
 _SPEED = 3.0
 _SHORTEST = 0.2  # [s] added to the time since a halt, whose logarithm is taken
-_LEAST_COSINE_SQUARED = 0.01  # [-] of a pitch, by whose root a tangent is divided at least
+_LEAST_COSINE_SQUARED = 0.01  # [-] least one of a pitch, by whose root its sine is divided
 _BEHIND = 7.0  # [radii] since the last border, beyond which the distance does not matter
 _MOST_MET = 2.0  # patches of a class, beyond which more do not matter
 

@@ -102,9 +102,9 @@ class OnlineIdentifier:
     `wheel`: its radius, width and the mass on it; its inertia where there is a motor torque; its
     stall torque for the best pull and `traversability`. `belief`: the prior of the ground to be
     expected. `noise`: standard deviations of the sensors. `period` [s]: time between readings
-    without a time.
-    `relaxation` [wheel radii]: distance in which sinkage adapts. `gravity` [m/s2]. Missing readings
-    are NaN, now and then or always; docs/guide/online.md says what stands for each.
+    without a time. `relaxation` [wheel radii]: distance in which sinkage adapts. `gravity` [m/s2].
+    Missing readings are NaN, now and then or always; docs/guide/online.md says what stands for
+    each.
 
     An instance is not for several threads at once; it can be pickled and copied. Raises TypeError
     for a wheel, belief or noise of another class, `ParameterError` for other values that are no

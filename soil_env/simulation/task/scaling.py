@@ -15,7 +15,7 @@ from soil_env._io.loading import truth
 
 from .layout import ROUTES, ObservedNumber, bounds_of
 
-_ONLY_THEN = "log10_sinkage_coefficient"  # entry that is 0 where a route is out of sight, only
+_SHOWS_SIGHT = "log10_sinkage_coefficient"  # of a route, 0 only where that is out of sight
 
 
 class Scaling:
@@ -44,11 +44,11 @@ class Scaling:
         self._routes = []  # of each route, indices of the entries whose centre is not 0
         for route in ROUTES:
             prefix = f"{route}_"
-            if prefix + _ONLY_THEN in names:
+            if prefix + _SHOWS_SIGHT in names:
                 columns = [
                     k for k, n in enumerate(names) if n.startswith(prefix) and self.centre[k] != 0.0
                 ]
-                self._mark[columns] = names.index(prefix + _ONLY_THEN)
+                self._mark[columns] = names.index(prefix + _SHOWS_SIGHT)
                 self._kept[columns] = 0.0
                 self._routes.append(columns)
 
