@@ -286,7 +286,7 @@ def test_what_the_page_of_physics_says_of_predictions():
             part = ratios(splits)[name]
             found += [f"{part[key]:.2f}" for key in ("mean", "worst")]
     text = text_of(DOCS / "physics" / "discovery.md")
-    (said,) = re.findall(r"On \[wheels that nobody here made\].*?the curve is better", text)
+    (said,) = re.findall(r"On \[wheels measured by others\].*?the curve is better", text)
     assert re.findall(r"\d\.\d\d", said) == found
     assert f"largest slip of the braked continuum wheel, {found[1]}," in text
 
