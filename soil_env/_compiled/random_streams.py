@@ -87,7 +87,7 @@ def _to_normal(normals):
     for i in range(8):
         radius = math.sqrt(-2.0 * log(1.0 - normals[0, i]))
         # Half a turn back brings the angle into the range of `half_sin`, and turns the sign of its
-        # sine and cosine: with s and c of half the angle these are -2 s c and 2 s^2 - 1.
+        # sine and cosine. By s and c of half the angle these are -2 s c and 2 s^2 - 1.
         angle = math.pi * (2.0 * normals[1, i] - 1.0)
         s = half_sin(angle)
         c = half_cos(angle)

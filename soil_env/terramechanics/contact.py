@@ -356,8 +356,10 @@ def _cos_sin_of_rise(arc):
 
 @compiled
 def _flowing(arc):
-    """Factor in (0, 1) that `most_carried` has, small where a wheel hardly sinks and little soil is
-    there to flow: x^2/(x^2 + x_f^2) at a sinkage of x radii, with x_f = `FLOWING_DEPTH`.
+    """Factor in (0, 1) that `most_carried` has: x^2/(x^2 + x_f^2) at a sinkage of x radii.
+
+    x_f is `FLOWING_DEPTH`. The factor is small where a wheel hardly sinks: little soil is there to
+    flow.
     """
     s = half_sin(arc.theta1)
     square = max(4.0 * s * s * s * s, LEAST_SQUARE)  # x^2, with x = 1 - cos(theta1) = 2 s^2

@@ -45,14 +45,16 @@ def test_a_fast_channel_is_averaged_and_a_slow_one_interpolated():
 
 def test_shares_are_of_the_steps_that_stay():
     """Steps at which nothing is measured are left out, and count for no channel."""
-    two_drives = [0.0, 0.8, 1.6]
-    log = axis(
-        {"wheel_speed": [(t, 1.0) for t in two_drives], "speed": [(0.4, 1.0), (1.2, 1.0)]},
-        max_gap=0.5,
-    )
+    dense = [0.1 * k for k in range(11)]  # [s]; behind them each channel is sparse
+    read = {"wheel_speed": [*dense, 1.8, 2.6], "speed": [*dense[::2], 1.4, 2.2]}
+    log = axis({name: [(t, 1.0) for t in times] for name, times in read.items()})
+    assert len(log) == 18  # of 27 steps: 1.5 to 1.7 s and so on have nothing
     for name, values in log.readings.items():
-        assert log.channels[name].missing == np.mean(np.isnan(values)), name
-    assert len(log) < 17 and log.channels["wheel_speed"].missing < 0.5
+        known = np.sum(~np.isnan(values))
+        channel = log.channels[name]
+        assert channel.missing == pytest.approx(1.0 - known / len(log)), name
+        assert channel.interpolated == pytest.approx((known - len(read[name])) / len(log)), name
+    assert log.channels["speed"].interpolated > 0.4
 
 
 def test_values_are_not_interpolated_over_a_longer_gap():

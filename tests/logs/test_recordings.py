@@ -593,6 +593,22 @@ def test_a_cut_mcap_gives_what_is_whole_and_says_so(tmp_path, share):
     assert len(part) == len(whole) and not part.notes
 
 
+def test_a_message_at_the_time_0_is_one(tmp_path):
+    bag = write_json_mcap(tmp_path / "a.mcap", steps=1, chunk=1, payload=4096, start=0)
+    content = bag.read_bytes()
+    bag.write_bytes(content[: content.index(bytes(range(256))) + 100])  # within the picture
+    (note,) = [note for note in read(bag).notes if "cut off" in note]
+    assert "after the message recorded at 0.000 s" in note
+
+
+def test_progress_is_shown_whatever_the_rows_of_other_topics(drives, tmp_path):
+    """Rows that are read need not have round numbers."""
+    bag = sqlite_bag(tmp_path, drives, "DELETE FROM messages WHERE rowid % 64 = 0")
+    seen = []
+    read_recording(bag, drives[1], lambda position, size: seen.append(position / size))
+    assert sum(0.0 < share < 1.0 for share in seen) > 2
+
+
 def test_a_damaged_chunk_is_left_out(tmp_path):
     bag = write_json_mcap(tmp_path / "a.mcap", payload=256)
     content = bytearray(bag.read_bytes())

@@ -320,11 +320,12 @@ class OnlineIdentifier:
 
     def _speeds(self, r: Readings) -> tuple[float, float]:
         """(rim speed, travel speed) [m/s]; one that was not measured follows from a measured slip,
-        as if the rim did not turn against the travel, and is NaN without a slip.
+        and is NaN without one.
 
-        The rim speed does not follow from a slip of nearly 1, of a wheel that spins. The travel
-        speed does not follow from one of nearly -1, of a locked wheel (`LEAST_TRAVEL_RATIO`).
-        Raises ValueError for speeds beyond `largest_readings`.
+        The rim is taken not to turn against the travel. The rim speed does not follow from a slip
+        of nearly 1, of a wheel that spins. The travel speed does not follow from one of nearly -1,
+        of a locked wheel (`LEAST_TRAVEL_RATIO`). Raises ValueError for speeds beyond
+        `largest_readings`.
         """
         rim = r.wheel_speed * self._radius
         speed = r.speed
