@@ -4,10 +4,12 @@ from there.
     python -m soil_env_agents.generalist --out agents/soil_env_agents/default_policy.npz
 
 The grounds of configs/default_policy.yaml stand side by side, half of the wheels of each in worlds
-with hidden effects.
+with hidden effects. Teachers that are chosen are kept in the folder NAME.teachers beside the
+weights NAME.npz, so that a training that is started again does not choose them twice.
 """
 
 import io
+import itertools
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -40,7 +42,7 @@ from soil_env.simulation.task import VERSION
 from soil_env.terramechanics.model import WheelSoilModel
 
 from . import common_layout, default_policy, ppo, student
-from .cells import Engine, choose, in_process
+from .cells import Engine, choose, code_version, fill, in_process, read_cell
 from .choice import Chooser
 from .config import PPOConfig
 from .environment import HIDDEN, CommonVecEnv, even_shares, hidden_worlds, side_by_side
@@ -116,15 +118,16 @@ class Generalist(Checked):
         seed = self.seed + list(self.grounds).index(name)
         return scenario, hidden_worlds(scenario, self.hidden, seed, self.effects)
 
-    def teacher(self, cell: tuple[str, int], threads: int | None) -> dict[str, float]:
-        """Settings of the teacher (`teachers.SETTINGS`) for a `cell` (ground, world); world is 0
-        for that without an effect, from 1 for the hidden ones.
+    def teacher(self, cell: str, threads: int | None) -> dict[str, float]:
+        """Settings of the teacher (`teachers.SETTINGS`) for a `cell` "GROUND/WORLD"; WORLD is 0 for
+        that without an effect, from 1 for the hidden ones.
 
         Each hidden world has the teacher that does best in it. The world without an effect has the
         one that does best in all worlds of the ground, since at the start of a course the student
         cannot distinguish them. Without hidden worlds the settings are the ground's own.
         """
-        name, world = cell
+        name, number = cell.rsplit("/", 1)
+        world = int(number)
         scenario, hidden = self.ground(name)
         own = teacher_settings(scenario)
         if world:
@@ -135,17 +138,26 @@ class Generalist(Checked):
         return chosen(scenario, own, [*[None] * len(hidden), *hidden], OF_GROUND, threads)
 
     def build(
-        self, progress: Callable[[int], None] = lambda _: None, engine: Engine = in_process
+        self,
+        folder: Path,
+        progress: Callable[[int], None] = lambda _: None,
+        engine: Engine = in_process,
     ) -> PPO:
         """The untrained agent in the vector environment of all grounds.
 
-        The engine chooses the teachers; `progress` receives the number of those that are chosen.
+        The engine chooses the teachers that are not in `folder`, which keeps them; `progress`
+        receives the number of those that are chosen.
         """
-        teachers: dict[tuple[str, int], dict[str, float]] = {}
-        choose_one = partial(self.teacher, threads=None if engine is in_process else 1)
-        for cell, settings in engine(choose_one, self.cells()):
-            teachers[cell] = settings
-            progress(len(teachers))
+        numbers = itertools.count(1)
+        made_from = {"training": to_dict(self), "code": code_version()}
+        fill(
+            partial(self.teacher, threads=None if engine is in_process else 1),
+            self.cells(),
+            folder,
+            engine,
+            progress=lambda _: progress(next(numbers)),
+            needs=lambda _: made_from,
+        )
         parts = []
         for name, own in self.grounds.items():
             scenario, hidden = self.ground(name)
@@ -156,7 +168,7 @@ class Generalist(Checked):
                 part = CommonVecEnv(
                     share,
                     scenario,
-                    teachers[name, k],
+                    read_cell(folder, f"{name}/{k}", dict),
                     threads=self.ppo.threads,
                     model=world,
                     scatter=world is not None,
@@ -164,11 +176,11 @@ class Generalist(Checked):
                 parts.append(part)
         return ppo.learner(side_by_side(parts, self.ppo, self.seed), self.ppo, self.seed)
 
-    def cells(self) -> list[tuple[str, int]]:
-        """All (ground, world) that have a teacher; those that take longest to choose first, so that
+    def cells(self) -> list[str]:
+        """All "GROUND/WORLD" that have a teacher; those that take longest to choose first, so that
         the processes end together.
         """
-        return [(name, k) for k in range(self.hidden + 1) for name in self.grounds]
+        return [f"{name}/{k}" for k in range(self.hidden + 1) for name in self.grounds]
 
 
 def chosen(
@@ -236,8 +248,8 @@ def weights_of(model: PPO, history: int, made: dict) -> dict[str, np.ndarray]:
 def command(config: Path | None, out: Path, workers: int | None) -> None:
     """Train the default policy.
 
-    Teachers are chosen, one for each ground and world. A student learns from them, goes on with PPO
-    if `improved` is above 0, and its weights are written.
+    Teachers are chosen, one for each ground and world, and kept beside the weights. A student
+    learns from them, goes on with PPO if `improved` is above 0, and its weights are written.
     """
     if out.suffix != ".npz":
         raise ParameterError(f"--out {out}: expected a file NAME.npz")
@@ -247,7 +259,7 @@ def command(config: Path | None, out: Path, workers: int | None) -> None:
     asked = load(Generalist, read_yaml(path), str(path))
     engine = choose("local", workers)
     with Bar("Teachers", len(asked.cells()), "teachers") as bar:
-        model = asked.build(bar.update, engine)
+        model = asked.build(out.with_suffix(".teachers"), bar.update, engine)
     with Bar("Student", asked.taught, "steps") as bar:
         student.teach(model, asked.taught, asked.seed, bar.update, asked.kept)
     with Bar("PPO", asked.improved, "steps") as bar:

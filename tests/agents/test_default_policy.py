@@ -14,6 +14,7 @@ from soil_env.envs.wheel_env import SoilWheelEnv
 from soil_env.parameters import load_rover, load_scenario
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env_agents import common_layout, default_policy, generalist, student
+from soil_env_agents.cells import in_process
 from soil_env_agents.common_layout import ADDED, COMMON, NAMES, CommonScaling
 from soil_env_agents.controllers import make_controller
 from soil_env_agents.default_policy import LAYERS, WEIGHTS, DefaultPolicy
@@ -35,13 +36,31 @@ TINY = {
 
 
 @pytest.fixture(scope="module")
-def trained():
-    """A model after a few steps on two grounds."""
+def trained(tmp_path_factory):
+    """A model after a few steps on two grounds, whose training was interrupted and begun again."""
     few = [("ROUNDS", ((2, 1),)), ("OF_GROUND", ((2, 1),)), ("ACCELERATIONS", (1.0,))]
+    folder = tmp_path_factory.mktemp("teachers")
+    asked = generalist.load(generalist.Generalist, TINY, "")
+    before, after = [], []
+
+    def interrupt(done):
+        """Ctrl-C after four teachers."""
+        before.append(done)
+        if done == 4:
+            raise KeyboardInterrupt
+
+    def first(work, missing):
+        """Engine that keeps the teachers that are still to be chosen."""
+        after.extend(missing)
+        return in_process(work, missing)
+
     with pytest.MonkeyPatch.context() as patch:
         for name, value in (*few, ("SHARES", (0.6,))):
             patch.setattr(generalist, name, value)
-        model = generalist.load(generalist.Generalist, TINY, "").build()
+        with pytest.raises(KeyboardInterrupt):
+            asked.build(folder, interrupt)
+        model = asked.build(folder, engine=first)
+    assert before == [1, 2, 3, 4] and after == asked.cells()[4:]
     student.teach(model, 1000, 0)
     return model
 
