@@ -140,12 +140,6 @@ def load_study(cls, folder: Path, check: Callable[[dict, str], None] | None = No
     return study.renewed(here)
 
 
-def clear(folder: Path) -> None:
-    """Forget the finished cells of a folder; its study stays until another replaces it."""
-    for path in (folder / "cells").glob("*.json"):
-        path.unlink()
-
-
 def cell_file(folder: Path, cell: Hashable) -> Path:
     """Path of the file of a finished cell: its name with - for each /, .json, in the folder
     `cells`.

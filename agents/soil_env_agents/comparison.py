@@ -33,7 +33,8 @@ def compare(
     the agent on the held-out courses; print a `verdict`.
 
     Results are in the folder `FOLDER` of `run`, as of `soil-env evaluate`. An interrupted
-    comparison goes on; results of one that was begun with another model or config are discarded.
+    comparison goes on. Where the model was trained again, or the config is another, only what
+    depends on it is driven anew.
     """
     folder = run / FOLDER
     model = str(run / "model.zip")
@@ -52,10 +53,8 @@ def compare(
         model=config.model,
         detailed=False,
     )
-    try:
+    with suppress(cells.OtherStudy):
         asked = as_begun(asked, folder)
-    except cells.OtherStudy:
-        cells.clear(folder)  # of a model that was trained again, or of another config
     result = carry_out(asked, folder)
     show(verdict(result, agent.name))
 

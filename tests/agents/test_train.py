@@ -254,10 +254,13 @@ def test_a_training_that_was_stopped_is_resumed(capsys, tmp_path, monkeypatch, e
 
 @pytest.mark.usefixtures("unrendered")
 def test_a_model_that_is_trained_again_is_compared_again(capsys, tmp_path, monkeypatch):
-    """Also where the comparison with the new model is interrupted, or cannot begin."""
+    """Also where the comparison with the new model is interrupted, or cannot begin. The other
+    drivers keep their runs.
+    """
     folder = tmp_path / "n"
     assert run(capsys, *TINY, "--runs", tmp_path, "--name", "n")[0] == 0
     before = json.loads((folder / comparison.DONE).read_text())
+    driven = {p: p.stat().st_mtime_ns for p in (folder / comparison.FOLDER / "cells").iterdir()}
     (folder / "model.zip").unlink()
     edited = (folder / "config.yaml").read_text().replace("seed: 0", "seed: 1")
     (folder / "config.yaml").write_text(edited)
@@ -273,6 +276,8 @@ def test_a_model_that_is_trained_again_is_compared_again(capsys, tmp_path, monke
     assert code == 0 and "Already finished" not in out, err
     after = json.loads((folder / comparison.DONE).read_text())["controllers"]
     assert after["agent_identified"] != before["controllers"]["agent_identified"]
+    anew = {p.name for p, at in driven.items() if p.stat().st_mtime_ns != at}
+    assert len(driven) > 3 and len(anew) == 1 and "agent_identified" in anew.pop()
 
 
 def test_an_error_of_the_thread_of_tensorboard_names_its_folder(capsys):
