@@ -32,14 +32,14 @@ from soil_env._io.loading import (
 )
 from soil_env.envs.wheel_env import action_space
 from soil_env.parameters import RoverScenario, Scenario
-from soil_env.simulation.rover.task import rover_layout
-from soil_env.simulation.task import ObservedNumber, check_version, layout
+from soil_env.simulation.task import check_version
 from soil_env.simulation.task.scaling import Scaling
 
 from . import inputs
 from .archives import check_unpacked
 from .config import NAMES, PPOConfig, task_of
 from .history import History, Remembering, columns_of_routes
+from .inputs import entries_of
 
 # Members of the zip.
 INFO = "soil_env.json"
@@ -79,13 +79,6 @@ class Info(Checked):
     def history(self) -> History | None:
         """Past readings that the network sees, if any."""
         return History(self.observation_names, self.ppo.history) if self.ppo.history else None
-
-
-def entries_of(scenario: Scenario | RoverScenario, variant: str) -> tuple[ObservedNumber, ...]:
-    """Entries of the observation `variant` of a scenario, of a wheel or of a rover."""
-    if isinstance(scenario, RoverScenario):
-        return rover_layout(variant, scenario.axles)
-    return layout(variant, scenario.course)
 
 
 class ChoosingExtractor(MlpExtractor):

@@ -190,7 +190,7 @@ def fill(
     stale = 0  # cells that have a file and are done again
     made_from = {}
     for cell in cells:
-        made_from[cell] = _digest(needs(cell))
+        made_from[cell] = digest_of(needs(cell))
         path = cell_file(folder, cell)
         if _made_from(path) == made_from[cell]:
             (found or progress)(cell)
@@ -212,10 +212,10 @@ def fill(
 
 def is_done(folder: Path, cell: Cell, needs: Callable[[Cell], object]) -> bool:
     """True if a cell has a file that was made from what `needs` says now."""
-    return _made_from(cell_file(folder, cell)) == _digest(needs(cell))
+    return _made_from(cell_file(folder, cell)) == digest_of(needs(cell))
 
 
-def _digest(needed: object) -> str:
+def digest_of(needed: object) -> str:
     """Digest of plain values, 16 hexadecimal digits; the order of keys does not matter."""
     return hashlib.sha256(json.dumps(needed, sort_keys=True).encode()).hexdigest()[:16]
 

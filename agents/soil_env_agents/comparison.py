@@ -37,7 +37,7 @@ def compare(
     depends on it is driven anew.
     """
     folder = run / FOLDER
-    model = str(run / "model.zip")
+    model = str((run / "model.zip").resolve())  # the same from every folder
     controllers = [Contestant(name, 0, "classical", name) for name in controllers_of(scenario)[0]]
     with suppress(ParameterError):  # of a scenario that the policy of the package cannot drive
         CommonScaling(scenario)

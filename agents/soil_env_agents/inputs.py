@@ -9,8 +9,9 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env.envs.observer import Observer
 from soil_env.online import Readings
-from soil_env.parameters import Scenario
-from soil_env.simulation.task import ObservedNumber
+from soil_env.parameters import RoverScenario, Scenario
+from soil_env.simulation.rover.task import rover_layout
+from soil_env.simulation.task import ObservedNumber, layout
 from soil_env.simulation.task.scaling import Scaling
 
 # [of the range of an entry] beyond its bounds that is let pass: the rounding of scaling and back
@@ -21,6 +22,13 @@ _UNITS = (
     "values in their units, as scaled=False observes them and physical() of the environment gives "
     "them back"
 )
+
+
+def entries_of(scenario: Scenario | RoverScenario, variant: str) -> tuple[ObservedNumber, ...]:
+    """Entries of the observation `variant` of a scenario, of a wheel or of a rover."""
+    if isinstance(scenario, RoverScenario):
+        return rover_layout(variant, scenario.axles)
+    return layout(variant, scenario.course)
 
 
 class Layout:

@@ -91,8 +91,12 @@ AT_BOUND = 1e-4  # [prior sd] distance of an unknown from a bound, within which 
 #: Lower bound of a parameter with a log-normal prior, over its centre, where its own bound is lower
 #: (0 has no logarithm); own choice.
 LEAST_OF_CENTRE = 1e-3
-#: [prior sd] distance of a start from a bound; also that of two starts that are taken as the same.
+#: [prior sd] distance of a given start from a bound; also that of two starts that are taken as the
+#: same.
 _SAME = 1e-6
+#: [prior sd] distance of any other start from a bound; own choice. The first step of the search is
+#: as long as the start is far from the prior mean: with all there but one, it would soon stop.
+_OFF_BOUND = 0.1
 _OFF_NEUTRAL = 0.3  # [prior sd] start of a strength whose bound is its neutral value; own choice
 _LAW_FUNCTIONS = 24  # most functions of the process of the base law's error
 _EFFECT_FUNCTIONS = 24  # most functions of the process of an effect's form error
@@ -425,8 +429,9 @@ class Problem:
         `start`: parameters by name; others start at their prior mean or a little off (`_start_of`).
         `near`: a fit to the same table, whose form errors at these `sizes` are in the covariance.
         Without it the covariance is that of the noise times the scatter, and no other size counts.
-        No start is nearer to a bound than `_SAME`. Output, derivatives and form errors of the `Fit`
-        are those at its optimum; a residual is `NO_VALUE` where the model has no value there.
+        No given start is nearer to a bound than `_SAME`, no other than `_OFF_BOUND`. Output,
+        derivatives and form errors of the `Fit` are those at its optimum; a residual is `NO_VALUE`
+        where the model has no value there.
         """
         law = Law(self, choices)
         low, high = law.bounds
@@ -434,7 +439,8 @@ class Problem:
         u = np.array(
             [k.at(start[k.name]) if k.name in start else self._start_of(k) for k in law.unknowns]
         )
-        off_bound = _SAME * np.minimum(high - low, 1.0)
+        given = [k.name in start for k in law.unknowns]
+        off_bound = np.where(given, _SAME, _OFF_BOUND) * np.minimum(high - low, 1.0)
         u = np.clip(u, low + off_bound, high - off_bound)
         # A factor of the inverse of the covariance, which `whitened` applies.
         root = None if near is None else compressed(near.columns(sizes) / sizes.scatter)

@@ -30,6 +30,7 @@ _EXCEL = 25569  # [days] from 1899-12-30, where Excel counts from, to 1970
 
 _DAY = 86400 * 10**9  # [ns]
 _MIDNIGHT = _DAY // 2  # [ns] by which a time of day falls back, at least, on the next day
+_LATE = _DAY * 23 // 24  # [ns] by which it rises, at least, where it is late, from before midnight
 _BATCH = 4096  # rows read between two reports of progress
 _EXAMPLES = {
     "iso": "text as 2026-05-04T09:30:00.25 or 09:30:00.25",
@@ -46,7 +47,8 @@ def rows(
 
     The column `stamps` has times in `unit`. `columns`: names of the columns to read, each with its
     readings in words for an error. A value is None where a cell is empty or no number. A time of
-    day that falls by `_MIDNIGHT` is one of the next day.
+    day that falls by `_MIDNIGHT` is one of the next day, one that rises by `_LATE` after that is a
+    late one of the day before.
 
     Rows without a time and cells without a number are left out, and counted in notes;
     `ParameterError` where that leaves less than half.
@@ -65,6 +67,7 @@ def rows(
             continue
         if unit == "iso" and abs(at) < _DAY:  # a time of day
             midnights += at < last - _MIDNIGHT
+            midnights -= midnights > 0 and at > last + _LATE
             last = at
             at += midnights * _DAY
         values: list[float | None] = [None] * len(texts)

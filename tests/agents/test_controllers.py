@@ -330,6 +330,14 @@ def test_settings_are_kept_and_wrong_ones_refused(name):
     refused(partial(make_controller, name, scenario, speeed=0.2), "unknown key")
 
 
+def test_a_top_speed_that_is_printed_can_be_given():
+    """Four digits, as `soil-env tune` writes them, are 4e-16 above the top speed here."""
+    scenario = load_scenario("firm_and_loose")
+    top = scenario.wheel.radius * scenario.wheel.no_load_speed
+    assert top < 0.9906
+    assert checked_settings("fixed_slip", scenario, {"speed": 0.9906}, "") == {"speed": top}
+
+
 @pytest.mark.parametrize(
     "name",
     [

@@ -5,6 +5,7 @@ a plain loop.
 import csv
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -416,6 +417,8 @@ def test_what_other_code_or_another_class_tuned_is_tuned_again(tmp_path, monkeyp
     study = cells.load_study(Evaluation, out)
     assert tuned(study) == []
     assert tuned(study.renewed("0.0.9")) == ["bounded_of_a_test:Bounded", "fixed_slip"]
+    for edited in ({"tuning_courses": 3}, {"task": study.task | {"name": "another"}}):
+        assert len(tuned(replace(study, **edited))) == 2
     module.write_text(BOUNDED + "\n# edited\n")
     assert tuned(study) == ["bounded_of_a_test:Bounded"]
 

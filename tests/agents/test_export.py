@@ -111,6 +111,18 @@ def test_the_runner_alone_drives_courses_as_the_agent_would(
     assert (runner.returncode, errors) == (0, "") and courses >= 3 and worst <= 1e-5
 
 
+def test_actions_of_another_strength_are_refused(tmp_path):
+    """What an agent reads does not tell it how strong its actions are."""
+    own, stronger = (
+        load_scenario("two_lines", COURSE | {"control": {"rim_acceleration": a}})
+        for a in (0.3, 0.6)
+    )
+    model = saved(tmp_path / "run", own, "blind") / "model.zip"
+    said = "trained with actions of at most 0.3 m/s2, those of scenario 'two_lines' are of at most"
+    refused(partial(load_model, model, stronger), said)
+    assert load_model(model, own).variant == "blind"
+
+
 def test_the_runner_refuses_what_is_no_observation(exported, scenario):
     """No action may follow from it: one line on stderr, status 2."""
     size = len(SoilWheelEnv(scenario).observation_names)

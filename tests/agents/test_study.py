@@ -283,6 +283,14 @@ def test_the_shipped_configs_can_be_read(name):
         ),
         ({"arms": {"a": {"train": {"seed": 1}}}}, "arms.a.train.seed: the study sets it"),
         ({"arms": {"a": {"controller": "soft_start", "train": {"seed": 1}}}}, "not both"),
+        ({"arms": {"a": {"settings": {"slip": 0.2}}}}, "arms.a.settings: an agent has none"),
+        (
+            {
+                "scenarios": {"two_lines": {}, "mixed": {"trained_on": "two_lines"}},
+                "arms": {"a": {}},
+            },
+            "scenarios.mixed: trained_on: 'two_lines' has other observations or actions",
+        ),
         (
             {"arms": {"a": {"world": "nowhere"}}},
             "arms.a: world: unknown value 'nowhere' (expected none)",

@@ -72,6 +72,8 @@ def within_bounds(
             if setting.rim_speed
             else setting.high
         )
+        if value == float(f"{high:.4g}"):  # the bound as messages and `soil-env tune` print it
+            value = min(value, high)
         if not 0.0 <= value <= high or (value == 0.0 and not setting.zero):
             bracket = "[" if setting.zero else "("
             unit = "" if setting.unit in ("-", "1") else f" {setting.unit}".rstrip()

@@ -223,7 +223,7 @@ def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
     """`asked` with tuned settings of the controllers that have none by --settings.
 
     Tuned are classical ones under their own name, and classes with `bounds`. What `asked` has in
-    `tuned` stays, but a class is tuned again where its code has changed (`code_digest`).
+    `tuned` stays, but is tuned again where task, world, courses or the code of a class are others.
 
     ParameterError for several classes to tune under one name.
     """
@@ -241,7 +241,11 @@ def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
             raise ParameterError(
                 f"controllers: {name!r}: {count} classes to tune: expected a name for each"
             )
-    codes = {c.name: code_digest(c.source) for c in own if c.kind == "class"}
+    task = [asked.task, asked.model, asked.tuning_courses]
+    codes = {
+        c.name: cells.digest_of([*task, code_digest(c.source) if c.kind == "class" else ""])
+        for c in own
+    }
     done = {name for name in asked.tuned if asked.codes.get(name) == codes.get(name)}
     own = [c for c in own if c.name not in done]
     cells.save_study(asked, folder)  # before the work, so that it can be resumed

@@ -40,9 +40,8 @@ class Evaluation(OfTask):
     oracle_courses: int = quantity("of them, that the oracle drives too", 0, 100_000, default=0)
     #: {contestant: settings that tuning has found}, of classical ones and classes.
     tuned: dict[str, dict] = field(default_factory=dict)
-    codes: dict = field(
-        default_factory=dict
-    )  # {contestant: `own.code_digest` of its class when it was tuned}
+    #: {contestant: digest of what it was tuned for: task, world, courses, and code of a class}.
+    codes: dict = field(default_factory=dict)
     #: Content of the model.yaml of the world's effects; empty = none.
     model: dict = field(default_factory=dict)
     detailed: bool = True  # with the metrics `DETAILED` of a wheel

@@ -90,6 +90,11 @@ def _check_action(path: Path, own: Control, scenario: Scenario) -> None:
             f"{where}s that last {own.duration:g} s, those of scenario {scenario.name!r} last "
             f"{control.duration:g} s"
         )
+    if own.action == "rim_acceleration" and own.rim_acceleration != control.rim_acceleration:
+        raise ParameterError(
+            f"{where}s of at most {own.rim_acceleration:g} m/s2, those of scenario "
+            f"{scenario.name!r} are of at most {control.rim_acceleration:g} m/s2"
+        )
 
 
 def _check_wheel(path: Path, scenario: Scenario) -> None:

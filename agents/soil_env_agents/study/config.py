@@ -35,6 +35,7 @@ from ..evaluate import loading
 from ..evaluate.contestants import SHIPPED, SHIPPED_CLASS, Contestant
 from ..evaluate.driving import HELD_OUT_SET, TUNING_SET
 from ..evaluate.own import bounds_of_settings
+from ..inputs import entries_of
 
 #: Keys of the training's config that the study sets.
 _SET_HERE = (
@@ -125,6 +126,8 @@ class Study(Checked):
                 raise unknown_value(arm.world, self.worlds, f"arms.{name}: world")
             for source in sources:
                 self._check(name, arm, self.targets[source].scenario)
+                if not arm.controller:
+                    self._check_compared(name, arm, source)
 
     def _check(self, name: str, arm: Arm, scenario: Scenario) -> None:
         """ParameterError where the arm `name` cannot be made on a scenario: for keys or settings
@@ -136,6 +139,10 @@ class Study(Checked):
                     raise ParameterError(
                         f"arms.{name}.train.{key}: the study sets it; expected another key"
                     )
+            if arm.settings:
+                raise ParameterError(
+                    f"arms.{name}.settings: an agent has none: expected controller beside them"
+                )
             load(TrainConfig, arm.train, f"arms.{name}.train")
             return
         if arm.train:
@@ -153,6 +160,25 @@ class Study(Checked):
             bounds = bounds_of_settings(arm.controller, scenario)
             where = f"arms.{name}.settings"
             within_bounds(arm.controller, bounds, scenario, arm.settings, where)
+
+    def _check_compared(self, name: str, arm: Arm, source: str) -> None:
+        """ParameterError where agents made on `source` cannot drive a target that they are compared
+        on: for another kind of vehicle, other observations or other actions.
+        """
+        variant = arm.train.get("observation", TrainConfig.observation)
+
+        def driven(scenario: Scenario | RoverScenario) -> tuple:
+            """What an agent of the arm reads and does."""
+            entries = [e.name for e in entries_of(scenario, variant)]
+            return type(scenario), entries, scenario.control.action, scenario.control.duration
+
+        own = driven(self.targets[source].scenario)
+        for target in self.fed_by(source):
+            if driven(self.targets[target].scenario) != own:
+                raise ParameterError(
+                    f"targets.{target}: trained_on: {source!r} has other observations or actions: "
+                    f"agents of arms.{name} cannot drive both"
+                )
 
     def renewed(self, version: str) -> Study:
         """This study with the `version` of other code."""
