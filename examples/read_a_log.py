@@ -62,7 +62,7 @@ recording = read_recording("drive.csv", log_map)
 found = replay(recording, log_map)
 print("doubts:", recording.doubts or "none")
 print("grounds:", found.ground.max(), " borders:", found.borders)
-print("steady points:", len(steady_windows(recording, log_map).rows))
+print("steady points:", len(steady_windows(recording, log_map, found.ground).rows))
 
 # %% [markdown]
 # The soil under the wheel over time, and the true one, which no rover knows.

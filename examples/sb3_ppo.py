@@ -13,6 +13,7 @@ A soft start finishes about six of ten of such courses. Time is better spent on 
 
 import argparse
 
+import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 
@@ -31,6 +32,7 @@ def main() -> None:
         parser.error("expected at least one step and one course")
     steps = asked.steps
     courses = asked.courses
+    torch.set_num_threads(1)  # in a network this small several threads wait for each other
     envs = SoilWheelVecEnv(64)
     model = PPO("MlpPolicy", envs, n_steps=128, batch_size=1024, n_epochs=4, seed=0, device="cpu")
     model.learn(steps)

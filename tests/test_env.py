@@ -289,8 +289,10 @@ def test_order_is_enforced(make):
     assert run(env, 0, 10)[2][-1]["cause"] == "TIME_LIMIT"
     with pytest.raises(gymnasium.error.ResetNeeded):
         env.step(action)
+    known = env.np_random_seed
     with pytest.raises(ValueError, match="options.*'x'"):
-        env.reset(options={"x": 1})
+        env.reset(seed=99, options={"x": 1})
+    assert env.np_random_seed == known  # a refused reset leaves no seed behind
     env.reset(options={})
     env.step(action)
 

@@ -94,10 +94,10 @@ LEAST_OF_CENTRE = 1e-3
 #: [prior sd] distance of a given start from a bound; also that of two starts that are taken as the
 #: same.
 _SAME = 1e-6
-#: [prior sd] distance of any other start from a bound; own choice. The first step of the search is
-#: as long as the start is far from the prior mean: with all there but one, it would soon stop.
-_OFF_BOUND = 0.1
-_OFF_NEUTRAL = 0.3  # [prior sd] start of a strength whose bound is its neutral value; own choice
+#: [prior sd] distance of any other start from a bound; own choice. At its neutral value the other
+#: parameters of an effect change nothing. And the first step of the search is as long as the start
+#: is far from the prior mean: with all of them there and one next to a bound it would soon stop.
+_OFF_BOUND = 0.3
 _LAW_FUNCTIONS = 24  # most functions of the process of the base law's error
 _EFFECT_FUNCTIONS = 24  # most functions of the process of an effect's form error
 _FREE_FUNCTIONS = 40  # most functions of an anonymous contribution
@@ -426,7 +426,7 @@ class Problem:
     ) -> Fit:
         """Most probable parameters of the model with the given effects.
 
-        `start`: parameters by name; others start at their prior mean or a little off (`_start_of`).
+        `start`: parameters by name; others start at their prior mean.
         `near`: a fit to the same table, whose form errors at these `sizes` are in the covariance.
         Without it the covariance is that of the noise times the scatter, and no other size counts.
         No given start is nearer to a bound than `_SAME`, no other than `_OFF_BOUND`. Output,
@@ -436,10 +436,8 @@ class Problem:
         law = Law(self, choices)
         low, high = law.bounds
         start = start or {}
-        u = np.array(
-            [k.at(start[k.name]) if k.name in start else self._start_of(k) for k in law.unknowns]
-        )
         given = [k.name in start for k in law.unknowns]
+        u = np.array([k.at(start[k.name]) if k.name in start else 0.0 for k in law.unknowns])
         off_bound = np.where(given, _SAME, _OFF_BOUND) * np.minimum(high - low, 1.0)
         u = np.clip(u, low + off_bound, high - off_bound)
         # A factor of the inverse of the covariance, which `whitened` applies.
@@ -467,15 +465,6 @@ class Problem:
             converged=converged,
             sizes=counted,
         )
-
-    def _start_of(self, unknown: Unknown) -> float:
-        """Whitened start of an unknown: 0, the prior mean.
-
-        The strength of an effect whose lower bound is its neutral value starts a little above,
-        since at that value the other parameters of the effect change nothing.
-        """
-        bounded = not unknown.log and unknown.low >= unknown.mean
-        return _OFF_NEUTRAL if bounded and unknown not in self.soil else 0.0
 
     def effect_process(self, choice: Choice) -> Process:
         """Process of the form error of an effect, over what the base law depends on and the

@@ -242,13 +242,12 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
         ValueError for any `options`. Returns (observation [D] float32, info), with "world" in a
         nested info where there is a model.
         """
-        super().reset(seed=seed)
         if options:
-            given = sorted(map(str, options)) if isinstance(options, dict) else options
             raise ValueError(
-                f"reset options {given!r:.80}: expected none; scenarios are set when the env is "
+                f"reset options {options!r:.80}: expected none; scenarios are set when the env is "
                 "made"
             )
+        super().reset(seed=seed)
         if seed is not None or not self._seeded:
             self.simulation.seed(0, self.np_random)
             self._seeded = True

@@ -189,6 +189,8 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
         borders[k] = borders_before + e.borders
         last = t
     values = dict(zip(COLUMNS, table.T, strict=True))
+    # a normal posterior goes below 0, which counts as 0 wherever a soil is made of it
+    values["cohesion"] = np.maximum(values["cohesion"], 0.0)
     warnings = []
     if restarts:
         warnings.append(

@@ -350,6 +350,7 @@ def setup_text(
         "soil": _priors(log_map, prior, estimate) | log_map.soil,
         "noise": {n: _short(v) for n, v in steady.noise.items()},
         "calibration": {n: _short(v) for n, v in _calibration(log_map).items()},
+        "gravity": log_map.gravity,
     }
     return text + yaml.safe_dump(content, sort_keys=False)
 

@@ -85,7 +85,7 @@ class Prior(Checked):
 
 #: {parameter of the soil that is a plain number in a setup: why it has no prior}.
 NUMBERS = {
-    **dict.fromkeys(FLOW_LAW, "it is given, not fitted"),
+    **dict.fromkeys((*FLOW_LAW, "density"), "it is given, not fitted"),
     **dict.fromkeys(("dig_gain", "dig_recovery"), "digging that is not known is an effect to find"),
 }
 

@@ -8,7 +8,7 @@ import pytest
 from soil_env.identification.table import identify_table
 from soil_env.identification.table.bins import DENSE, MOST, MOST_OF_SERIES, binned
 from soil_env.identification.table.data import folds, prepare
-from tests.discovery.files import NOISE, SETUP, data_of, world
+from tests.discovery.files import NOISE, SETUP, csv_text, data_of, world
 
 BARE = SETUP.split("soil:")[0] + "soil: {density: 1600}\nnoise: {sinkage: 0.0006}\n"
 
@@ -89,6 +89,21 @@ def test_a_series_has_few_bins_and_a_table_of_any_rows_more(tmp_path):
     shuffled = data.table.only(np.random.default_rng(1).permutation(3000))
     assert len(binned(data.table, data.setup).table) <= MOST_OF_SERIES
     assert len(binned(shuffled, data.setup).table) == MOST
+
+
+def test_conditions_that_all_differ_are_not_merged_in_wide_bins(tmp_path):
+    """A grid whose slips change slowly from row to row is no series of one run."""
+    speeds = np.geomspace(0.02, 0.2, 9)
+    grid = np.meshgrid((80.0, 120.0, 180.0), speeds, np.linspace(0.05, 0.6, 12))
+    names = ("load", "speed", "slip")
+    conditions = dict(zip(names, (x.ravel() for x in grid), strict=True))
+    y = np.stack(world({}).predict(conditions)[:3], axis=1)
+    rows = np.column_stack([*conditions.values(), y])
+    data = data_of(tmp_path, csv_text((*names, *NOISE), rows), BARE)
+    found = binned(data.table, data.setup).table
+    assert MOST_OF_SERIES < len(found) <= MOST
+    off = found.load[:, None] / [80.0, 120.0, 180.0] - 1.0
+    assert np.abs(off).min(axis=1).max() < 1e-9
 
 
 def test_bins_are_few_whatever_varies(tmp_path):

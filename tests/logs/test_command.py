@@ -149,6 +149,13 @@ def test_a_setup_has_the_errors_of_the_sensors(log_map, tmp_path):
         assert found.tilt_deg == pytest.approx(math.degrees(of.pitch_zero), rel=1e-3)
 
 
+def test_a_setup_has_the_gravity_of_the_map(log_map, tmp_path):
+    moon = replace(log_map, gravity=1.62)
+    text = setup_text(moon, Steady([]), replay(made([(0.2, 3.0)]), moon).prior, None)
+    (tmp_path / "setup.yaml").write_text(text)
+    assert read_setup(tmp_path / "setup.yaml").gravity == 1.62
+
+
 def test_what_changes_is_not_steady(log_map):
     """A ramp of slip; one up and down within a window; a wheel at rest; a sinkage that has not come
     to its end yet though it changes little.
@@ -290,6 +297,18 @@ def test_an_estimate_of_no_soil_is_refused_in_one_line(log_map, monkeypatch, nam
     rows = list(csv.DictReader(written["estimates.csv"].splitlines()))
     assert rows[-1][name] == rows[34][name] == "" and rows[29][name] and rows[39][name]
     assert json.loads(written["log.json"])["estimate"][name] is None
+
+
+def test_a_cohesion_below_zero_counts_as_zero(log_map, monkeypatch):
+    update = OnlineIdentifier.update
+    monkeypatch.setattr(
+        OnlineIdentifier,
+        "update",
+        lambda self, readings: replace(update(self, readings), cohesion=-0.2),
+    )
+    found, _ = learnt(made(VARIED, noise=1.0), log_map)
+    assert not found.warnings and np.all(found.values["cohesion"] == 0.0)
+    assert np.isfinite(found.values["friction_angle_deg"]).all()
 
 
 def test_a_map_may_state_the_exponent_with_its_standard_deviation(without_digging):

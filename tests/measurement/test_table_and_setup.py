@@ -328,6 +328,10 @@ def test_reads_a_setup(tmp_path):
             SETUP + "soil: {cohesion: {value: 10, sd: 1e-300}}",
             ["sd = 1e-300", "at least 1e-05", "plain number"],
         ),
+        (
+            SETUP + "soil: {density: {value: 1600, sd: 100}}",
+            ["density: expected a plain number; it is given"],
+        ),
         (SETUP + "load: vertcal", ["load = 'vertcal'", "'normal', 'vertical'"]),
         (SETUP + "tilt_deg: 40", ["tilt_deg = 40", "[-20, 20]"]),
         (

@@ -22,9 +22,10 @@ DENSE = 240  # rows above which every table is binned
 #: Rows above which a series is binned if its bins have `FEWEST` or more rows on average.
 REPEATED = 100
 MOST = 120  # bins
-#: Bins of a series, a dense table in which a row is mostly within `NEAR` of the one before. Errors
-#: that go on from row to row are shared by neighbouring bins if these are short; own choice.
+#: Bins of consecutive rows. Errors that go on from row to row are shared by neighbouring bins if
+#: these are short; own choice.
 MOST_OF_SERIES = 40
+#: Distance of a row from the one before, by the median, in a dense table that is a series.
 NEAR = 0.25  # [correlation lengths] own choice
 FINE = 0.04  # [correlation lengths of a form error] extent of a bin that is not cut further
 JUMP = 0.25  # share of the extent of a bin, above which a gap between values is where it is cut
@@ -70,13 +71,12 @@ def binned(table: Table, setup: Setup) -> Binned:
     x = _coordinates(table, setup)
     steps = np.max(np.abs(np.diff(x, axis=0)), axis=1, initial=0.0)
     series = np.median(steps) < NEAR
-    most = MOST_OF_SERIES if series else MOST
     in_order = series and not np.any(_scatters(x) & (np.ptp(x, axis=0) > _MOVES))
     if in_order:
-        bins = _bins(x, most, _split)
+        bins = _bins(x, MOST_OF_SERIES, _split)
         in_order = max(np.max(np.std(x[rows], axis=0), initial=0.0) for rows in bins) <= _TOO_WIDE
     if not in_order:
-        bins = _bins(x, most, _cut)
+        bins = _bins(x, MOST, _cut)
     if len(table) <= DENSE and not (series and len(table) >= FEWEST * len(bins)):
         return Binned(table, setup, "")
     columns: dict[str, Any] = {

@@ -192,7 +192,7 @@ def given_laws(setup: Setup) -> dict[str, float]:
     """Parameters of slip-sinkage and of the `FLOW_LAW` by name, as the setup gives them; the
     defaults of `Soil` where it says nothing.
     """
-    given = {name: getattr(setup.soil, name) for name in NUMBERS}
+    given = {name: getattr(setup.soil, name) for name in NUMBERS if name != "density"}
     return {
         name: float(prior.value if prior else getattr(Soil, name)) for name, prior in given.items()
     }
