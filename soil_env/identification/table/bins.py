@@ -22,8 +22,8 @@ DENSE = 240  # rows above which every table is binned
 #: Rows above which a series is binned if its bins have `FEWEST` or more rows on average.
 REPEATED = 100
 MOST = 120  # bins
-#: Bins of consecutive rows. Errors that go on from row to row are shared by neighbouring bins if
-#: these are short; own choice.
+#: Bins of a series, but for one of so few rows that it may be a grid of steady points. Errors that
+#: go on from row to row are shared by neighbouring bins if these are short; own choice.
 MOST_OF_SERIES = 40
 #: Distance of a row from the one before, by the median, in a dense table that is a series.
 NEAR = 0.25  # [correlation lengths] own choice
@@ -76,7 +76,8 @@ def binned(table: Table, setup: Setup) -> Binned:
         bins = _bins(x, MOST_OF_SERIES, _split)
         in_order = max(np.max(np.std(x[rows], axis=0), initial=0.0) for rows in bins) <= _TOO_WIDE
     if not in_order:
-        bins = _bins(x, MOST, _cut)
+        recorded = series and len(table) >= FEWEST * MOST  # else single steady points
+        bins = _bins(x, MOST_OF_SERIES if recorded else MOST, _cut)
     if len(table) <= DENSE and not (series and len(table) >= FEWEST * len(bins)):
         return Binned(table, setup, "")
     columns: dict[str, Any] = {
