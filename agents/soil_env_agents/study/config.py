@@ -170,7 +170,9 @@ class Study(Checked):
         def driven(scenario: Scenario | RoverScenario) -> tuple:
             """What an agent of the arm reads and does."""
             entries = [e.name for e in entries_of(scenario, variant)]
-            return type(scenario), entries, scenario.control.action, scenario.control.duration
+            control = scenario.control
+            strength = control.rim_acceleration if control.action == "rim_acceleration" else 0.0
+            return type(scenario), entries, control.action, control.duration, strength
 
         own = driven(self.targets[source].scenario)
         for target in self.fed_by(source):
