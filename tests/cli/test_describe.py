@@ -66,4 +66,4 @@ def test_a_number_that_takes_no_standard_deviation_is_not_offered_one(capsys):
     assert {name for name, prior in offered.items() if not prior} == NUMBERS.keys()
     for name in NUMBERS:
         with pytest.raises(ParameterError, match=f"{name}: expected a plain number"):
-            SoilPriors(**{name: Prior(0.1, 0.01)})
+            SoilPriors(**{name: Prior(1600.0 if name == "density" else 0.1, 0.01)})
