@@ -36,21 +36,23 @@ TINY = {
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory):
-    """A model after a few steps on two grounds, whose training was interrupted and begun again."""
+def begun_again(tmp_path_factory):
+    """A training on two grounds that was interrupted after four teachers: (the model of the second
+    start, numbers of teachers that the first has told, teachers that the second has chosen).
+    """
     few = [("ROUNDS", ((2, 1),)), ("OF_GROUND", ((2, 1),)), ("ACCELERATIONS", (1.0,))]
     folder = tmp_path_factory.mktemp("teachers")
     asked = generalist.load(generalist.Generalist, TINY, "")
-    before, after = [], []
+    told, after = [], []
 
     def interrupt(done):
         """Ctrl-C after four teachers."""
-        before.append(done)
+        told.append(done)
         if done == 4:
             raise KeyboardInterrupt
 
-    def first(work, missing):
-        """Engine that keeps the teachers that are still to be chosen."""
+    def recording(work, missing):
+        """Engine that records the teachers that are still to be chosen."""
         after.extend(missing)
         return in_process(work, missing)
 
@@ -59,10 +61,22 @@ def trained(tmp_path_factory):
             patch.setattr(generalist, name, value)
         with pytest.raises(KeyboardInterrupt):
             asked.build(folder, interrupt)
-        model = asked.build(folder, engine=first)
-    assert before == [1, 2, 3, 4] and after == asked.cells()[4:]
+        model = asked.build(folder, engine=recording)
+    return model, told, after
+
+
+@pytest.fixture(scope="module")
+def trained(begun_again):
+    """A model after a few steps on two grounds."""
+    model, *_ = begun_again
     student.teach(model, 1000, 0)
     return model
+
+
+def test_an_interrupted_training_chooses_no_teacher_twice(begun_again):
+    _, told, after = begun_again
+    cells = generalist.load(generalist.Generalist, TINY, "").cells()
+    assert told == [1, 2, 3, 4] and after == cells[4:]
 
 
 @pytest.mark.parametrize("name", GROUNDS)

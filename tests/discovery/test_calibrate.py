@@ -8,7 +8,7 @@ from tests.discovery.tables import problem
 
 
 def test_a_fit_leaves_a_start_on_a_bound(tmp_path):
-    """The prior mean of all but the cohesion is the start, and cohesion is at its bound there."""
+    """The fit starts at the prior means, and that of the cohesion is its bound."""
     setup = SETUP.replace("{value: 3700, sd: 700}", "{value: 0, sd: 2000}")
     setup = setup.replace("{value: 30, sd: 1.5}", "{value: 25, sd: 5}")
     slip, load = (x.ravel() for x in np.meshgrid((0.05, 0.2, 0.5), (80.0, 150.0)))
