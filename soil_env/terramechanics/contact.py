@@ -44,6 +44,9 @@ FLOWING_DEPTH = 0.05
 # [radii^2] least square of a sinkage in `_flowing`. That of a wheel in the air is 0, and
 # `held_below` divides by the bound
 LEAST_SQUARE = 1e-24
+# [of theta1] place of a braked wheel's stress peak beyond which shear builds up too fast for the
+# nodes of an arc that is not split; own choice
+PEAK_AHEAD = 0.7
 PEAK_MARGIN = 0.05  # [of the arc] least distance of the stress peak from its ends; own choice
 _x, _w = np.polynomial.legendre.leggauss(NODES_PER_ZONE)
 # [-] u^2, distance of a node from the end of the arc over the zone's length
@@ -63,19 +66,19 @@ REAR_AHEAD = np.concatenate([_none, 1.0 - NODE_DEPTHS])
 FRONT_WEIGHT = np.concatenate([NODE_WEIGHTS, _none])
 REAR_WEIGHT = np.concatenate([_none, NODE_WEIGHTS])
 
-# Gauss-Legendre nodes of each of the three zones of an arc that is split where the shear
-# displacement changes sign
-SPLIT_PER_ZONE = 12
+# Gauss-Legendre nodes of each of the three zones of an arc that is split (`shear_integrals`)
+SPLIT_PER_ZONE = 24
 SPLIT_NODES = 3 * SPLIT_PER_ZONE
 _x, _w = np.polynomial.legendre.leggauss(SPLIT_PER_ZONE)
 _v = 0.5 * (_x + 1.0)
-# [of the zone] place of a node from the front end of its zone, dense at both ends
-_place = _v * _v * (3.0 - 2.0 * _v)
+# [of the zone] place of a node from the front end of its zone, dense at both ends: near a locked
+# wheel nearly all shear builds up within a thousandth of the zone
+_place = _v**3 * (10.0 - 15.0 * _v + 6.0 * _v**2)
 _zones = np.eye(3)
 #: [-] [zones, nodes] Lengths of each zone that lie between the entry and a node, and the weight of
 #: the node in lengths of each zone.
-SPLIT_AHEAD = np.kron(_zones, _place) + np.kron(np.tril(np.ones((3, 3)), -1).T, np.ones_like(_v))
-SPLIT_WEIGHT = np.kron(_zones, 3.0 * _v * (1.0 - _v) * _w)
+SPLIT_AHEAD = np.kron(_zones, _place) + np.kron(np.triu(np.ones((3, 3)), 1), np.ones_like(_v))
+SPLIT_WEIGHT = np.kron(_zones, 15.0 * (_v * (1.0 - _v)) ** 2 * _w)
 TURNS = 8  # steps of Newton's method in `turning_angle`, at most
 TURN_STEP = 1e-5  # [rad] last of these steps, which leaves an error of about its square
 LEAST_HALF = 1e-7  # [rad] least half of an arc over which `_mean_cos` divides; own choice
@@ -100,16 +103,16 @@ _OF_NODE = (
     "by_travel",  # [m] dj/d(travel)
     "rate",  # [1/m] de/dj, e the mobilised share of the shear strength
 )
-#: Nodes of an arc that is split where the shear displacement changes sign, as in `ARC_NODES`.
+#: Nodes of an arc that is split (`shear_integrals`), as in `ARC_NODES`.
 SPLIT_ARC = record(**dict.fromkeys(_OF_NODE, ("f8", SPLIT_NODES)))
-#: Scratch of a thread for one arc. `rate`, `turned` and `split` belong to the last motion given to
-#: `shear_integrals`, all other fields to any motion.
+#: Scratch of a thread for one arc. `rate`, `was_split` and `split` belong to the last motion given
+#: to `shear_integrals`, all other fields to any motion.
 ARC_NODES = record(
     *Arc._fields,
     "exponent",  # n [-]
     rise=("f8", NODES),  # [-] (1 - cos(theta))/2
     **dict.fromkeys(_OF_NODE, ("f8", NODES)),
-    turned=("i8",),  # 1: at the last motion the arc was split, and its nodes are those of `split`
+    was_split=("i8",),  # 1: at the last motion, so the nodes are those of `split`
     split=(SPLIT_ARC, 1),
 )
 
@@ -575,7 +578,8 @@ def _lay_split(nodes, turn):
     """Lay nodes of the arc of `lay_nodes` into `nodes.split`, in three zones.
 
     The arc is cut at the stress peak and at `turn` [rad], where the shear displacement changes
-    sign. The integrands have a kink at both, which the nodes of a zone across it would not resolve.
+    sign; theta1 where it does not, which leaves a zone empty. The integrands have a kink at both,
+    which the nodes of a zone across it would not resolve.
     """
     split = nodes.split[0]
     r = nodes.radius
@@ -624,8 +628,7 @@ def _shear_sums(nodes, count, p, motion, K, law):
     `nodes`: `ARC_NODES` or `SPLIT_ARC`. `p`: (Int p cos, Int p sin), which do not depend on the
     motion and are handed through. K [m] and `law` as in `mobilised`.
     """
-    rim = motion[0]
-    travel = motion[1]
+    rim, travel = motion
     pe_cos = 0.0
     pe_sin = 0.0
     pe = 0.0
@@ -648,28 +651,23 @@ def _shear_sums(nodes, count, p, motion, K, law):
     return ArcIntegrals(p[0], p[1], pe_cos, pe_sin, pe, e_cos, e_sin, e_sum)
 
 
-@compiled
-def _split_integrals(nodes, p, motion, turn, K, law):
-    """`shear_integrals` of an arc split at the angle `turn` [rad], where the shear displacement
-    changes sign.
-    """
-    _lay_split(nodes, turn)
-    return _shear_sums(nodes.split[0], SPLIT_NODES, p, motion, K, law)
-
-
 @compiled_sums
 def _integrals_under(nodes, p, motion, K, law, split):
     """`shear_integrals` by a `law` that is None or a `ShearLaw`, for each of which numba compiles
     this function by itself.
 
-    `nodes.turned` becomes 1 if the arc was split, else 0.
+    `nodes.was_split` becomes 1 if the arc was split, else 0.
     """
-    nodes.turned = 0
+    nodes.was_split = 0
     if split:
-        turn = turning_angle(nodes, motion[0], motion[1])
-        if turn < nodes.theta1:
-            nodes.turned = 1
-            return _split_integrals(nodes, p, motion, turn, K, law)
+        rim, travel = motion
+        turn = turning_angle(nodes, rim, travel)
+        braked = travel * (travel - rim) > 0.0
+        peak_ahead = braked and nodes.thetam > PEAK_AHEAD * nodes.theta1
+        if turn < nodes.theta1 or peak_ahead:
+            nodes.was_split = 1
+            _lay_split(nodes, turn)
+            return _shear_sums(nodes.split[0], SPLIT_NODES, p, motion, K, law)
     return _shear_sums(nodes, NODES, p, motion, K, law)
 
 
@@ -679,8 +677,9 @@ def shear_integrals(nodes, p, motion, K, law, split):
     node, which `shear_rates` reads.
 
     `p`: (Int p cos, Int p sin), as `lay_nodes` returns them. With `split` an arc in which the shear
-    displacement changes sign gets nodes of its own, since de/dj has a kink there. K [m] is the
-    shear deformation modulus, `law` a `ShearLaw`, or None for Eq. (10).
+    displacement changes sign gets nodes of its own, since de/dj has a kink there. So does a braked
+    one whose stress peaks beyond `PEAK_AHEAD`. K [m] is the shear deformation modulus, `law` a
+    `ShearLaw`, or None for Eq. (10).
     """
     if law is None:
         return _integrals_under(nodes, p, motion, K, None, split)
@@ -719,7 +718,7 @@ def shear_rates(nodes, st, c):
     """`ShearRates` of the nodes at the last motion of `shear_integrals`, with st = S tan(phi) and
     cohesion c [Pa].
     """
-    if nodes.turned > 0:
+    if nodes.was_split > 0:
         return _rate_sums(nodes.split[0], SPLIT_NODES, st, c)
     return _rate_sums(nodes, NODES, st, c)
 

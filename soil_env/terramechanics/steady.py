@@ -275,8 +275,8 @@ def _integrals(nodes, arc, balance, fx):
     """`ArcIntegrals` of an `Arc` at the motion of a `_Balance`; overwrites the scratch `nodes`
     (`ARC_NODES`).
 
-    Soil that is carried along adds to the rim speed. An arc in which the shear displacement then
-    changes its sign is split there.
+    Soil that is carried along adds to the rim speed, and the arc may then be split
+    (`shear_integrals`).
     """
     normal = lay_nodes(nodes, arc, balance.soil.sinkage_exponent)
     rim = balance.rim

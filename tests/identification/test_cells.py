@@ -10,7 +10,7 @@ from tests.identification.observing import SCENARIO, Identified
 
 #: Means of a cell that are merged by the precision of its slip, and of its changes of sinkage.
 MEANS = ("slip", "sinkage", "pull", "torque", "load", "inertial", "motor", "by_speeds")
-OF_CHANGES = ("rise", "travel", "slide", "middle")
+OF_CHANGES = ("rise", "rise_variance", "travel", "slide", "middle")
 VARIANCES = ("slip_variance", "sinkage_variance", "pull_variance", "torque_variance")
 
 

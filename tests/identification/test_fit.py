@@ -91,6 +91,7 @@ def steady_cells(u, setting, slips=SLIPS, noise=SHARP, load=None):
             cell[name] = value
         for name, sd in noise.items():
             cell[f"{name}_variance"] = sd**2
+        cell["rise_variance"] = 2.0 * setting.white[0].sinkage ** 2 / cell["readings"]
     return cells
 
 

@@ -22,6 +22,7 @@ from soil_env.identification.online.points import (
     SHARPEST_SLIP,
     SLIP_RANGE,
     SLOWEST,
+    SPIN_ERROR,
     SPINNING,
     STANDSTILL,
     THROWN,
@@ -150,6 +151,33 @@ def test_the_forces_of_a_point_are_those_at_its_slip():
     assert cell["readings"] == 3 and cell["slip"] > 0.02
     assert cell["pull"] == pytest.approx(0.1 + 2.0 * cell["slip"], abs=1e-9)
     assert cell["torque"] == pytest.approx(0.2 + 2.0 * cell["slip"], abs=1e-6)
+
+
+def test_the_variance_of_a_torque_is_that_of_unlike_readings():
+    """Where the wheel turns faster from one reading to the next the motor tells less of the torque,
+    and a faster wheel is surer of its slip.
+    """
+    wheel = Identified(load_scenario("mixed", {"noise": NOISE}))
+    readings = [
+        STEADY._replace(rim_speed=rim, speed=0.75 * rim, motor_torque=STEADY.torque)
+        for rim in (0.4, 0.4, 0.415)
+    ]
+    stated = first_point(wheel, readings)["torque_variance"]
+    white = wheel.set.white[0]
+    spin = SPIN_ERROR * SCENARIO.wheel.inertia / (R * PERIOD)
+    expected = 0.0
+    before = readings[0].rim_speed
+    for k, r in enumerate(readings):
+        turned = max((r.rim_speed - before) ** 2 - 2.0 * white.rim_speed**2, 0.0)
+        before = r.rim_speed
+        for name, more in (("torque", 0.0), ("motor_torque", spin**2 * turned)):
+            ends = []
+            for change in (-0.1, 0.1):
+                off = [*readings]
+                off[k] = r._replace(**{name: getattr(r, name) + change})
+                ends.append(first_point(wheel, off)["torque"])
+            expected += ((ends[1] - ends[0]) / 0.2) ** 2 * (white[name] ** 2 + more)
+    assert stated == pytest.approx(expected, rel=1e-6)
 
 
 def test_a_slip_sensor_counts_in_place_of_the_speeds():
@@ -285,6 +313,19 @@ def test_a_slip_that_says_nothing_is_in_no_point():
     assert set(wheel.observe([STEADY] * 30)) == {HELD}
 
 
+@pytest.mark.parametrize("known", [False, True])
+def test_a_braked_wheel_counts_whatever_its_travel_speed(wheel, known):
+    """Chosen by the noise of the travel speed, slips would have another mean than all have."""
+    white = wheel.set.white[0]
+    rim = math.hypot(white.speed, white.rim_speed) / BLUNTEST * (1.01 if known else 0.99)
+    for travel in (0.8, 1.0, 1.2, 1.5):
+        (slip,) = slips(np.array([rim]), np.array([travel * rim]))
+        r = STEADY._replace(rim_speed=rim, speed=travel * rim, slip=float(slip))
+        wheel.start()
+        wheel.observe([r] * 3)
+        assert (wheel.now.open[0].readings > 0.0) == known, travel
+
+
 def test_the_load_of_a_point_is_that_of_the_mass_on_its_slope(wheel):
     """Each reading of the load weighs the mass, whose part into the ground it is."""
     pitch = 0.2
@@ -315,17 +356,30 @@ def test_the_way_between_points_is_what_travelled_and_slid(wheel):
     """In lengths in which sinkage adapts, from the middle of one point to that of the next."""
     deeper = STEADY._replace(sinkage=STEADY.sinkage + 0.004, slip=0.5, speed=0.2)
     wheel.observe([STEADY] * 4)  # the first only turns the wheel
-    wheel.observe([deeper] * 3 + [HALT])
+    wheel.observe([deeper] * 2 + [HALT])
     first, second = wheel.cells
     length = SCENARIO.relaxation * R
     assert first["changes"] == 0.0 and second["changes"] == 1.0
-    # a period on from the middle of three readings, one between the points, one to the middle
-    travel = 1.5 * (STEADY.speed + deeper.speed) * PERIOD / length
-    slide = 1.5 * (0.1 + 0.2) * PERIOD / length
+    # from the middle of three readings to the end of the last, and on to the middle of two
+    travel = (1.5 * STEADY.speed + deeper.speed) * PERIOD / length
+    slide = (1.5 * 0.1 + 0.2) * PERIOD / length
     assert second["travel"] == pytest.approx(travel)
     assert second["slide"] == pytest.approx(slide)
     assert second["rise"] == pytest.approx(0.004)
+    one = wheel.set.white[0].sinkage ** 2  # of a reading
+    assert second["rise_variance"] == pytest.approx(one * (1.0 / 3.0 + 1.0 / 2.0))
     assert second["middle"] == pytest.approx(STEADY.sinkage + 0.002)
+
+
+def test_the_bearing_sinkage_is_that_of_the_point_not_of_the_reading_that_ends_it():
+    found = []
+    for slip in (0.3, 0.6):
+        one = Identified(SCENARIO)
+        one.observe([STEADY] * 4)
+        one.observe([STEADY._replace(slip=slip, speed=(1.0 - slip) * STEADY.rim_speed)])
+        assert one.now.points == 1.0
+        found.append(float(one.now.ln_bearing))
+    assert found[0] == found[1]
 
 
 def test_a_change_of_sinkage_over_a_stop_is_not_that_of_the_law(wheel):

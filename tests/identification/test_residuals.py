@@ -87,6 +87,7 @@ def placed(seed, gains=0.0, border=False, compaction=0.0):
         "by_speeds": 0.7,
         "readings": 8.0,
         "changes": 2.0,
+        "rise_variance": 4e-4**2,
         "travel": 0.3,
         "slide": 0.2,
         "middle": sinkage,
@@ -260,3 +261,15 @@ def test_a_residual_of_the_law_of_sinkage_is_cut_where_it_is_no_error_of_that():
     cell["changes"] = 0.0
     e = vector(wheel)[2]
     assert (e.sinkage, e.sinkage_weight) == (0.0, 0.0)
+
+
+def test_a_change_of_sinkage_is_weighed_by_its_noise():
+    """Its variance grows by that of the rise, which the way between the points lessens."""
+    wheel, cell = placed(5)
+    a = cell["travel"] + wheel.set.dig_recovery * cell["slide"]
+    added = 1e-3**2
+    variance = [1.0 / vector(wheel)[2].sinkage_weight]
+    cell["rise_variance"] += added
+    variance.append(1.0 / vector(wheel)[2].sinkage_weight)
+    expected = 0.5 * (1.0 + np.exp(-2.0 * a)) * added / cell["changes"]
+    assert np.diff(variance)[0] == pytest.approx(expected, rel=1e-9)

@@ -110,11 +110,23 @@ speeds = st.floats(-5.0, 5.0)
 
 
 @settings(max_examples=60, deadline=None)
-@given(rim_speed=speeds, speed=speeds, theta1=st.floats(0.05, 1.5), k=st.floats(1e-3, 0.3))
-def test_reversal_mirrors_the_forces(rim_speed, speed, theta1, k):
+@given(
+    rim_speed=speeds,
+    speed=speeds,
+    theta1=st.floats(0.05, 1.5),
+    k=st.floats(1e-3, 0.3),
+    peak=st.floats(0.05, 0.95),
+    split=st.booleans(),
+)
+# braked, split for its peak alone and for its turn
+@example(rim_speed=1.0, speed=1.5, theta1=0.79, k=1.5e-3, peak=0.91, split=True)
+@example(rim_speed=1.4, speed=1.5, theta1=0.79, k=1.5e-3, peak=0.5, split=True)
+def test_reversal_mirrors_the_forces(rim_speed, speed, theta1, k, peak, split):
+    """`peak`: place of the largest stress, of theta1."""
+
     def at(sign):
         rim, travel, direction = contact.motion_from_speeds(sign * rim_speed, sign * speed, 0.005)
-        q = arc_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, k, 0.9, 0.15)
+        q = arc_integrals(theta1, 0.0, peak * theta1, rim, travel, k, 0.9, 0.15, split)
         return np.array(contact.forces(q, 1e6, 0.6, 500.0, 0.15, 0.15, direction))
 
     np.testing.assert_allclose(at(-1.0), at(1.0) * [1.0, -1.0, -1.0], rtol=1e-12, atol=1e-9)

@@ -43,9 +43,7 @@ from .memory import (
 from .points import (
     FEW_READINGS,
     FIRST_POINTS,
-    LOCKED,
     READINGS,
-    SPINNING,
     advance,
     close,
     collect,
@@ -67,7 +65,7 @@ HELD, MOVED, RENEWED = range(3)
 # sinkage follows the slip at once begin borders too.
 EXPECTED = 3.0  # [-] taken off chi-squared before it is summed; the sum is never below 0
 ANOTHER_SOIL = 10.0  # [-] sum above which a border is assumed here
-OUTLIER = 3.5  # [-] chi-squared above which a point is left out, until the sum decides
+OUTLIER = 6.0  # [-] chi-squared above which a point is left out, until the sum decides
 SETTLED_POINTS = 3  # of a soil, before which no point is tested
 DOUBT = 1.3  # factor of the standard deviations while the last point is an outlier
 DOUBLED = 2.0**2  # factor of the form error's variance in that test: twice the error
@@ -140,7 +138,7 @@ def _find_bearing(memory, reading, setting, work):
     # that of the point; where none was measured, what stands for it
     sinkage = memory.point_sinkage if memory.point_sinkage > 0.0 else reading.sinkage
     z = max(sinkage - memory.u[SINKAGE_ZERO], LEAST_SINKAGE * r)
-    slip = min(max(reading.slip, LOCKED), SPINNING)
+    slip = memory.point_slip
     corrected = load * (1.0 - memory.u[LOAD_GAIN])
     contact = work.contact[0]
     reaction(contact, ground_of(u, setting), z, slip, corrected, r, setting.width)
@@ -306,8 +304,8 @@ def observe(memories, k, reading, alone, setting, work):
     weigh(memory, reading, setting)
     record_rest(memory, reading, setting)
     point = memory.open[0]
-    error = slip_error(reading, setting)
-    steady = is_steady(reading, error, turned, setting)
+    error = slip_error(reading.rim_speed, reading.speed, setting)
+    steady = is_steady(reading, turned, setting)
     few = memory.crossing > 0.0 or memory.points < FIRST_POINTS
     wanted = FEW_READINGS if few else READINGS
     outcome = HELD

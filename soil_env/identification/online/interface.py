@@ -178,7 +178,7 @@ class OnlineIdentifier:
         self._setting = setting_of(scenario)
         if isinstance(scenario, RoverScenario):
             limit_to_wheel(self._setting[0], scenario)
-        self._white = self._setting["sensors"][0, 0]
+        self._white = self._setting["white"][0, 0].copy()
         self._units = reading_units(scenario)
         self._largest = largest_readings(wheel, scenario.gravity)
         # [m] where none is measured; on soil that hardly bears at most what a wheel can give

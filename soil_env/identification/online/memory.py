@@ -75,15 +75,16 @@ OPEN = record(
     "first_slip",
     "slip",  # weighted by 1/variance, as sinkage; pull and torque by that of both
     "slip_weight",  # sum of the weights
-    "slip_square",  # sum of their squares
     "by_speeds",  # part of that sum, of slips that follow from both speeds
     "sinkage",
     "sinkage_weight",
     "pull",
     "pull_weight",
+    "pull_noise",  # white noise of `pull`, squared
     "inertial",  # weighted share of the accelerometer in the pull
     "torque",
     "torque_weight",
+    "torque_noise",
     "motor",  # weighted share of the motor in the torque
     "load",  # of `loads` readings that have one
     "loads",
@@ -112,6 +113,7 @@ MEANS = (
 VARIANCES = ("slip_variance", "sinkage_variance", "pull_variance", "torque_variance")
 OF_CHANGES = (
     "rise",  # [m] of sinkage between two points
+    "rise_variance",  # of its white noise
     "travel",  # [relaxation lengths]
     "slide",  # [relaxation lengths]
     "middle",  # [m] sinkage in the middle
@@ -153,7 +155,9 @@ MEMORY = record(
     "point_travel",  # those of the last point
     "point_slide",
     "point_turning",
+    "point_slip",
     "point_sinkage",  # [m] of the last point; 0 before the first
+    "point_variance",  # of its white noise
     "last_speed",  # [m/s] of the last reading
     "last_rim",  # [m/s]
     "excess",  # sum of chi-squared of points beyond what is expected, never below 0
@@ -211,9 +215,8 @@ SETTING = record(
     "model_error",  # [of load] of the laws
     load_varies=("i8",),  # 1: the load on the wheel changes from point to point
     off=("i8",),  # 1: nothing is identified
-    # standard deviations of the white noise of the sensors; the same of the present readings, which
-    # is larger for what was not measured; of zeros and gains
-    sensors=(READING, 1),
+    # standard deviations of the white noise of the present readings, larger for what was not
+    # measured; of zeros and gains
     white=(READING, 1),
     zero=(READING, 1),
     gain=(READING, 1),

@@ -33,7 +33,8 @@ SLIP_RANGE = 0.04
 # [m/s] Rim or travel speed below which a wheel rests: 20 times the speed below which slip and
 # resistance of the world go to zero (docs/physics/wheel.md).
 SLOWEST = 0.02
-BLUNTEST = 0.1  # [-] standard deviation of a slip above which it is not used, own choice
+# [-] standard deviation that a slip of 0 would have, above which the rim is too slow, own choice
+BLUNTEST = 0.1
 SPINNING = 0.9  # [-] slip above which a wheel spins on the spot, own choice
 LOCKED = -0.4  # [-] slip below which a wheel is as good as locked, own choice
 MOST_TRAVEL = 2.0  # [of rim speed] travel speed in the noise of a slip, at most, own choice
@@ -63,9 +64,9 @@ def is_sound(reading, setting):
 
 
 @compiled
-def slip_error(reading, setting):
+def slip_error(rim_speed, speed, setting):
     """Standard deviation of the slip [-]: that of a slip sensor where there is one (white noise
-    above 0), else by the white noise of both speeds.
+    above 0), else by the white noise of rim and travel speed [m/s].
 
     Rim speeds below `SLOWEST` count as `SLOWEST`, travel speeds above `MOST_TRAVEL` of the rim's as
     that. Braked, the slip is rim over travel speed less 1.
@@ -73,8 +74,8 @@ def slip_error(reading, setting):
     white = setting.white[0]
     if white.slip > 0.0:
         return white.slip
-    rim = max(abs(reading.rim_speed), SLOWEST)
-    travel = min(abs(reading.speed) / rim, MOST_TRAVEL)
+    rim = max(abs(rim_speed), SLOWEST)
+    travel = min(abs(speed) / rim, MOST_TRAVEL)
     rate = 1.0 / max(travel, 1.0) ** 2
     return rate * math.hypot(white.speed, travel * white.rim_speed) / rim
 
@@ -98,19 +99,20 @@ def advance(memory, reading, turned, setting):
 
 
 @compiled
-def is_steady(reading, error, turned, setting):
+def is_steady(reading, turned, setting):
     """True if the wheel drives on the ground without spinning, locking or a jump of its speed, and
     its slip is well enough known.
 
-    `error`: standard deviation of the slip; `turned` [m/s]: change of the rim speed in the period,
-    without sign.
+    `turned` [m/s]: change of the rim speed in the period, without sign. How well a slip is known
+    is judged at the same rim speed without slip. Judged at the noisy travel speed, readings of a
+    braked wheel would be chosen by that noise.
     """
     drives = reading.rim_speed > SLOWEST and LOCKED <= reading.slip <= SPINNING
     touches = reading.load >= LIFTED * setting.weight and reading.sinkage > 0.0
     return (
         drives
         and touches
-        and error < BLUNTEST
+        and slip_error(reading.rim_speed, reading.rim_speed, setting) < BLUNTEST
         and turned < THROWN * setting.gravity * setting.period
     )
 
@@ -233,7 +235,8 @@ def collect(point, memory, reading, error, turned, setting):
     """Add a reading to the open point, with the place of the ground that it shows.
 
     Pull and torque also count by the precision of the slip: their means are then those at its mean,
-    though a braked wheel is less sure of its slip from reading to reading.
+    though a wheel that slows down is less sure of it from reading to reading. That precision is by
+    the noisy travel speed, so the mean slip of a slow braked wheel is a little too low.
 
     `error`: standard deviation of its slip; `turned` [m/s]: change of the rim speed in the period.
     """
@@ -245,18 +248,19 @@ def collect(point, memory, reading, error, turned, setting):
     weight = 1.0 / (error * error)
     point.slip += weight * reading.slip
     point.slip_weight += weight
-    point.slip_square += weight * weight
     if setting.white[0].slip == 0.0:
         point.by_speeds += weight
     pull, variance, share = combined_pull(memory, reading, setting)
     of_pull = weight / variance
     point.pull += of_pull * pull
     point.pull_weight += of_pull
+    point.pull_noise += of_pull * weight
     point.inertial += of_pull * share
     torque, variance, share = _combined_torque(reading, turned, setting)
     of_torque = weight / variance
     point.torque += of_torque * torque
     point.torque_weight += of_torque
+    point.torque_noise += of_torque * weight
     point.motor += of_torque * share
     weight = 1.0 / setting.white[0].sinkage ** 2
     point.sinkage += weight * reading.sinkage
@@ -303,11 +307,10 @@ def close(memory, cell, setting):
     cell.sinkage = sinkage
     cell.sinkage_variance = 1.0 / point.sinkage_weight
     cell.pull = point.pull / point.pull_weight
-    noise = point.slip_square / point.slip_weight
-    cell.pull_variance = noise / point.pull_weight
+    cell.pull_variance = point.pull_noise / point.pull_weight**2
     cell.inertial = point.inertial / point.pull_weight
     cell.torque = point.torque / point.torque_weight
-    cell.torque_variance = noise / point.torque_weight
+    cell.torque_variance = point.torque_noise / point.torque_weight**2
     cell.motor = point.motor / point.torque_weight
     cell.load = memory.mass * setting.gravity * point.cos_pitch / n
     if setting.load_varies > 0 and point.loads > 0.0:
@@ -320,11 +323,14 @@ def close(memory, cell, setting):
     rolled = memory.point_sinkage > 0.0 and turning - memory.point_turning < STOPPED
     cell.changes = 1.0 if rolled and measured else 0.0
     cell.rise = sinkage - memory.point_sinkage
+    cell.rise_variance = cell.sinkage_variance + memory.point_variance
     cell.travel = travel - memory.point_travel
     cell.slide = slide - memory.point_slide
     cell.middle = 0.5 * (sinkage + memory.point_sinkage)
     cell.compaction = memory.compaction
     memory.point_sinkage = sinkage if measured else 0.0
+    memory.point_variance = cell.sinkage_variance
+    memory.point_slip = cell.slip
     memory.point_travel = travel
     memory.point_slide = slide
     memory.point_turning = turning

@@ -206,8 +206,7 @@ def setting_of(scenario: Scenario) -> np.ndarray:
     white, zero, gain = reading_errors(scenario)
     least = LEAST_SD * np.array(reading_units(scenario))
     least[0] = 0.0  # of the slip, the first: white noise of 0 tells that there is no slip sensor
-    s.sensors = np.maximum(white, least).view(READING)
-    s.white = s.sensors
+    s.white = np.maximum(white, least).view(READING)
     s.zero = zero.view(READING)
     s.gain = gain.view(READING)
     s.largest = largest_sensed(wheel, scenario.gravity)
@@ -242,8 +241,8 @@ def limit_to_wheel(setting: np.ndarray, scenario: RoverScenario) -> None:
     faster or slower is read at the end of a period, and is not the mean over it. The load on one
     wheel changes with the pull, so `load_varies` becomes 1.
     """
-    setting["sensors"]["acceleration"] = OF_BODY * scenario.gravity
+    white = setting["white"]
+    white["acceleration"] = OF_BODY * scenario.gravity
     if scenario.control.action != "torque":
-        setting["sensors"]["motor_torque"] = OF_BODY * scenario.weight * scenario.wheel.radius
-    setting["white"] = setting["sensors"]
+        white["motor_torque"] = OF_BODY * scenario.weight * scenario.wheel.radius
     setting["load_varies"] = 1

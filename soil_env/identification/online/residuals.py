@@ -37,7 +37,7 @@ from .memory import (
     TORQUE_GAIN,
     TORQUE_ZERO,
 )
-from .points import READINGS, TYPICAL_PULL
+from .points import TYPICAL_PULL
 
 # [of the product of both variances] least determinant of the covariance of pull and torque, own
 # choice: slopes by one noisy slip make both err as one
@@ -276,9 +276,9 @@ def _sinkage_residual(cell, sinkage, share, by_place, memory, setting, work):
     if cell.place_error > 0.0:
         law = BORDER_LAW_ERROR
         place = _over_border(SINKAGE, share, by_place, memory, work) * cell.place_error
-    # a point's sinkage enters the change before it and the one after it
-    of_point = setting.sensors[0].sinkage ** 2 / READINGS
-    variance = (1.0 + (1.0 - come * a) ** 2) * of_point / cell.changes
+    # of both sinkages, as if both points had as many readings: that of the later one enters wholly,
+    # that of the earlier one less
+    variance = 0.5 * (1.0 + (1.0 - come * a) ** 2) * cell.rise_variance / cell.changes
     variance += (law * come * a * bearing) ** 2 + place * place
     return residual, 1.0 / max(variance, (residual / LINEAR_TO) ** 2)
 
