@@ -4,8 +4,8 @@ from there.
     python -m soil_env_agents.generalist --out agents/soil_env_agents/default_policy.npz
 
 The grounds of configs/default_policy.yaml stand side by side, half of the wheels of each in worlds
-with hidden effects. Teachers that are chosen are kept in the folder NAME.teachers beside the
-weights NAME.npz, so that a training that is started again does not choose them twice.
+with hidden effects. Teachers that are chosen, and checkpoints of PPO, are kept in the folder
+NAME.teachers beside the weights NAME.npz. A training that is started again goes on from there.
 """
 
 import io
@@ -21,7 +21,6 @@ from typing import Any
 import click
 import numpy as np
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import ConvertCallback
 
 import soil_env
 from soil_env._io.files import check_outputs, make_folder, replace_file
@@ -42,13 +41,15 @@ from soil_env.simulation.task import VERSION
 from soil_env.terramechanics.model import WheelSoilModel
 
 from . import common_layout, default_policy, ppo, student
-from .cells import Engine, choose, code_version, fill, in_process, read_cell
+from .agent import INFO, Info, read_mapping
+from .cells import Engine, choose, code_version, digest_of, fill, in_process, read_cell
 from .choice import Chooser
 from .config import PPOConfig
 from .environment import HIDDEN, CommonVecEnv, even_shares, hidden_worlds, side_by_side
 from .evaluate.driving import run_courses
 from .progress import Bar, show
 from .teachers import Teacher, teacher_settings
+from .training import CHECKPOINT, Watch, improve
 
 CONFIG = "default_policy.yaml"
 # Settings that `chosen` tries.
@@ -58,6 +59,7 @@ SOFT_START = {"start": 1.0, "acceleration": 0.07}  # beside them, without a limi
 #: Rounds of `chosen` in one world: courses of each setting, and settings that are left after it.
 ROUNDS = ((50, 3), (200, 2), (300, 1))
 OF_GROUND = ((40, 3), (60, 1))  # the same for all worlds of a ground
+CHECKPOINT_EVERY = 500_000  # steps of PPO
 TEACHING_SET = 5_000_011  # course set of these rounds (`evaluate.driving.course_rng`)
 
 
@@ -149,7 +151,7 @@ class Generalist(Checked):
         receives the number of those that are chosen.
         """
         numbers = itertools.count(1)
-        made_from = {"training": to_dict(self), "code": code_version()}
+        made_from = self.made_from()
         fill(
             partial(self.teacher, threads=None if engine is in_process else 1),
             self.cells(),
@@ -174,7 +176,13 @@ class Generalist(Checked):
                     scatter=world is not None,
                 )
                 parts.append(part)
-        return ppo.learner(side_by_side(parts, self.ppo, self.seed), self.ppo, self.seed)
+        model = ppo.learner(side_by_side(parts, self.ppo, self.seed), self.ppo, self.seed)
+        model.origin = {"observation": "identified", "ppo": to_dict(self.ppo)}
+        return model
+
+    def made_from(self) -> dict[str, Any]:
+        """What teachers and checkpoints depend on; those of another training are not used."""
+        return {"training": to_dict(self), "code": code_version()}
 
     def cells(self) -> list[str]:
         """All "GROUND/WORLD" that have a teacher; those that take longest to choose first, so that
@@ -241,6 +249,32 @@ def weights_of(model: PPO, history: int, made: dict) -> dict[str, np.ndarray]:
     }
 
 
+def learn(model: PPO, asked: Generalist, folder: Path) -> None:
+    """Train an untrained `model` of `Generalist.build` as a student, then by PPO.
+
+    A checkpoint is saved in `folder` after the student and during PPO. Where there is one already
+    PPO goes on from it, with another random stream.
+    """
+    checkpoint = folder / CHECKPOINT
+    if checkpoint.is_file():
+        info = load(Info, read_mapping(checkpoint, INFO) or {}, str(checkpoint))
+        ppo.restore(model, checkpoint, info)
+        show(f"Resuming PPO at {model.num_timesteps:,} of {asked.improved:,} steps.")
+    else:
+        with Bar("Student", asked.taught, "steps") as bar:
+            student.teach(model, asked.taught, asked.seed, bar.update, asked.kept)
+        model.num_timesteps = 0  # of PPO
+        ppo.save(model, checkpoint)
+    begun = model.num_timesteps
+    with Bar("PPO", asked.improved, "steps", begun) as bar:
+        if begun < asked.improved:
+            schedules = ppo.Schedules(asked.ppo)  # of learning rate and others
+            # Learns from choices of the route; 13: a random stream of its own.
+            rng = np.random.default_rng([asked.seed, 13, begun] if begun else [asked.seed, 13])
+            watch = Watch(folder, CHECKPOINT_EVERY, bar)
+            improve(model, asked.improved - begun, [schedules, Chooser(model, rng)], watch)
+
+
 @click.command()
 @click.option("--config", type=PATH, metavar="YAML", help="Default: the shipped one.")
 @click.option("--out", type=PATH, required=True, metavar="FILE", help="The weights, .npz.")
@@ -258,23 +292,18 @@ def command(config: Path | None, out: Path, workers: int | None) -> None:
     path = config or config_dir() / CONFIG
     asked = load(Generalist, read_yaml(path), str(path))
     engine = choose("local", workers)
+    kept = out.with_suffix(".teachers")
     with Bar("Teachers", len(asked.cells()), "teachers") as bar:
-        model = asked.build(out.with_suffix(".teachers"), bar.update, engine)
-    with Bar("Student", asked.taught, "steps") as bar:
-        student.teach(model, asked.taught, asked.seed, bar.update, asked.kept)
-    with Bar("PPO", asked.improved, "steps") as bar:
-        if asked.improved:
-            schedules = ppo.Schedules(asked.ppo)  # of learning rate and others
-            # Learns from choices of the route; 13: a random stream of its own.
-            chooser = Chooser(model, np.random.default_rng([asked.seed, 13]))
-            # `or True`: `update` returns None, and the training ends where a callback is not true.
-            watch = ConvertCallback(lambda *_: bar.update(model.num_timesteps) or True)
-            model.learn(asked.improved, callback=[schedules, chooser, watch])
+        model = asked.build(kept, bar.update, engine)
+    folder = kept / digest_of(asked.made_from())
+    make_folder(folder)
+    learn(model, asked, folder)
     stream = io.BytesIO()
     made = {"soil_env": soil_env.__version__, "config": to_dict(asked)}
     stored: dict[str, Any] = weights_of(model, asked.ppo.history, made)
     np.savez_compressed(stream, **stored)
     replace_file(out, stream.getvalue())
+    (folder / CHECKPOINT).unlink()
     show(f"Written: {out} ({len(stream.getvalue()) / 1024:.0f} KiB)")
 
 

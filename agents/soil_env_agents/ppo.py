@@ -161,9 +161,17 @@ def resume(
         if stored != asked:
             raise ParameterError(f"{path}: trained with {key} {stored!r}, not {asked!r}")
     check_layout(info, path, scenario)
-    # Other courses and other noise than at the start of the run.
-    seed = (seed + info.timesteps) % 2**31
     model = build(scenario, observation, config, seed, tensorboard, world)
+    restore(model, path, info)
+    return model
+
+
+def restore(model: PPO, path: Path, info: Info) -> None:
+    """Give a fresh `model` weights, optimizer, moments and steps of a file of `save`, whose content
+    is `info`.
+
+    Courses and noise are others than at the start of the run.
+    """
     load_weights(path, WEIGHTS, model.policy)
     load_weights(path, OPTIMIZER, model.policy.optimizer)
     model.num_timesteps = info.timesteps
@@ -176,4 +184,4 @@ def resume(
     returns.mean = np.array(info.return_mean)
     returns.var = np.array(info.return_var)
     returns.count = info.return_count
-    return model
+    model.set_random_seed((model.seed + info.timesteps) % 2**31)

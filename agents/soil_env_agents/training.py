@@ -6,12 +6,13 @@ import shutil
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import yaml
+from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
 from soil_env._io.files import check_outputs, is_unused, replace_file
@@ -33,7 +34,7 @@ _RECENT = 1000  # courses whose mean return and rates are shown
 _STUCK = [cause.name for cause in IMMOBILISED]
 
 
-class _Watch(BaseCallback):
+class Watch(BaseCallback):
     """Callback of PPO: progress bar, rates of the recent courses on TensorBoard, and checkpoints.
 
     A checkpoint is saved before a rollout, once `every` environment steps have passed since the
@@ -240,18 +241,27 @@ def _learn(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario
             schedules = ppo.Schedules(
                 config.ppo, config.teacher_penalty if config.student > 0.0 else 0.0
             )
-            watch = _Watch(folder, config.checkpoint_every, bar)
-            calls = [schedules, chooser, watch]
-            try:
-                with _naming_tensorboard_folder(folder / "tensorboard"):
-                    model.learn(left, callback=calls, reset_num_timesteps=False, tb_log_name="PPO")
-            except (KeyboardInterrupt, OSError, SystemExit):
-                # SystemExit: rich raises it where nobody reads what it prints. The rollout under
-                # way counts as not learnt from.
-                model.num_timesteps = watch.learnt
-                ppo.save(model, checkpoint)
-                raise
+            watch = Watch(folder, config.checkpoint_every, bar)
+            improve(model, left, [schedules, chooser], watch)
     ppo.save(model, folder / MODEL)
+
+
+def improve(model: PPO, steps: int, calls: Sequence[BaseCallback], watch: Watch) -> None:
+    """Let PPO learn for so many more `steps`, with the callbacks `calls` and `watch`.
+
+    Where an interrupt or a failed write ends it, a checkpoint is saved in the folder of `watch`.
+    """
+    try:
+        with _naming_tensorboard_folder(watch.folder / "tensorboard"):
+            model.learn(
+                steps, callback=[*calls, watch], reset_num_timesteps=False, tb_log_name="PPO"
+            )
+    except (KeyboardInterrupt, OSError, SystemExit):
+        # SystemExit: rich raises it where nobody reads what it prints. The rollout under way counts
+        # as not learnt from.
+        model.num_timesteps = watch.learnt
+        ppo.save(model, watch.folder / CHECKPOINT)
+        raise
 
 
 @contextmanager

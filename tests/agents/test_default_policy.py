@@ -8,12 +8,14 @@ from functools import partial
 
 import numpy as np
 import pytest
+import yaml
 
 from soil_env.cli import main as soil_env
+from soil_env.cli.running import run
 from soil_env.envs.wheel_env import SoilWheelEnv
 from soil_env.parameters import load_rover, load_scenario
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
-from soil_env_agents import common_layout, default_policy, generalist, student
+from soil_env_agents import common_layout, default_policy, generalist, ppo, student
 from soil_env_agents.cells import in_process
 from soil_env_agents.common_layout import ADDED, COMMON, NAMES, CommonScaling
 from soil_env_agents.controllers import make_controller
@@ -33,6 +35,13 @@ TINY = {
     "effects": ["stress_peak_shift", "bulldozing"],
     "ppo": {"num_envs": 12, "batch_size": 64, "layer": 8, "threads": 1},
 }
+#: Teachers that are chosen in seconds: names of `generalist` and their values here.
+FEW = {
+    "ROUNDS": ((2, 1),),
+    "OF_GROUND": ((2, 1),),
+    "ACCELERATIONS": (1.0,),
+    "SHARES": (0.6,),
+}
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +49,6 @@ def begun_again(tmp_path_factory):
     """A training on two grounds that was interrupted after four teachers: (the model of the second
     start, numbers of teachers that the first has told, teachers that the second has chosen).
     """
-    few = [("ROUNDS", ((2, 1),)), ("OF_GROUND", ((2, 1),)), ("ACCELERATIONS", (1.0,))]
     folder = tmp_path_factory.mktemp("teachers")
     asked = generalist.load(generalist.Generalist, TINY, "")
     told, after = [], []
@@ -57,7 +65,7 @@ def begun_again(tmp_path_factory):
         return in_process(work, missing)
 
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in (*few, ("SHARES", (0.6,))):
+        for name, value in FEW.items():
             patch.setattr(generalist, name, value)
         with pytest.raises(KeyboardInterrupt):
             asked.build(folder, interrupt)
@@ -77,6 +85,35 @@ def test_an_interrupted_training_chooses_no_teacher_twice(begun_again):
     _, told, after = begun_again
     cells = generalist.load(generalist.Generalist, TINY, "").cells()
     assert told == [1, 2, 3, 4] and after == cells[4:]
+
+
+def test_an_interrupted_training_goes_on_with_ppo(tmp_path, monkeypatch, capsys):
+    """Interrupted in the second rollout, it goes on after the first, and is not taught again."""
+    for name, value in FEW.items():
+        monkeypatch.setattr(generalist, name, value)
+    taught = []
+    monkeypatch.setattr(student, "teach", lambda model, *_: taught.append(model))
+    rollout = {"n_steps": 32, **TINY["ppo"]}  # 384 steps
+    config = tmp_path / "config.yaml"
+    config.write_text(yaml.safe_dump({**TINY, "improved": 768, "ppo": rollout}))
+    out = tmp_path / "weights.npz"
+    asked = [f"--config={config}", f"--out={out}"]
+    with monkeypatch.context() as patch:
+
+        def interrupt(schedules):
+            """Ctrl-C in the second rollout."""
+            if schedules.num_timesteps > 384:
+                raise KeyboardInterrupt
+            return True
+
+        patch.setattr(ppo.Schedules, "_on_step", interrupt)
+        assert run(generalist.command, asked, "generalist") == 130
+    assert not out.exists() and len(taught) == 1
+    capsys.readouterr()
+    assert run(generalist.command, asked, "generalist") == 0
+    assert "Resuming PPO at 384 of 768 steps." in capsys.readouterr().out
+    assert len(taught) == 1 and DefaultPolicy("two_lines", out).made["config"]["improved"] == 768
+    assert not list(tmp_path.rglob("checkpoint.zip"))
 
 
 @pytest.mark.parametrize("name", GROUNDS)
