@@ -123,7 +123,7 @@ def test_what_is_said_of_agent_and_rules():
         round(behind["best_slip_true"][0]),
     ]
     said = re.search(
-        r"leads the best rule for sure on (.*?) alone\*\*, and trails it on (.*?)\. ", text_of(PAGE)
+        r"leads the best rule for sure on (.*?)\*\*, and trails it on (.*?)\. ", text_of(PAGE)
     )
     ends = {
         row["ground"]: numbers(list(row.values())[7].split(" ", 1)[1])[1:]
