@@ -39,13 +39,17 @@ def with_model(
 
     Warns (`OutsideValidity`) of a weight on the wheel, without payload, that is by more than `NEAR`
     beyond the loads that the model was fitted to. Raises ParameterError for `scatter` without a
-    model, a radius or width in `changes` that is not the model's, and a wheel or soil that the
-    scenario cannot have.
+    model, a radius or width in `changes` that is not the model's, `soils` or a `spread` there that
+    would not count, and a wheel or soil that the scenario cannot have.
     """
     if truth(scatter, "scatter") and model is None:
         raise ParameterError("scatter = True: expected a `model` whose soil it scatters about")
     if model is None:
         return scenario
+    if model.soil is not None and "soils" in changes:
+        raise ParameterError("soils: without effect beside a `model` with a soil: expected neither")
+    if model.soil is not None and "spread" in changes and not scatter:
+        raise ParameterError("spread: without effect on the soil of `model`: expected scatter=True")
     low, high = model.validity.get("load", (0.0, math.inf))
     if not (1.0 - NEAR) * low <= scenario.weight <= (1.0 + NEAR) * high:
         mass = (math.sqrt(low * high) or high) / scenario.gravity  # [kg] of a wheel

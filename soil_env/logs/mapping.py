@@ -20,7 +20,7 @@ from soil_env._io.loading import (
     unknown_value,
 )
 from soil_env.measurement.setup import setup_of
-from soil_env.parameters import Belief, Noise, Wheel, refuse_idle_prior, with_preset
+from soil_env.parameters import Belief, Noise, Wheel, with_preset
 from soil_env.parameters.sensors import SENSORS, sizes_of
 
 #: Other units by the SI unit of a reading, each with its value in SI.
@@ -261,8 +261,6 @@ def read_map(path: str | Path) -> LogMap:
             raise ParameterError(f"{where}: wheel: missing body_mass, the mass [kg] on this wheel")
         mapping["wheel"] = _WHEEL | wheel
     belief = mapping.get("belief") or {}
-    if isinstance(belief, dict):
-        refuse_idle_prior(belief, where)
     found: LogMap = load(LogMap, mapping, where)
     if "border" not in belief:
         border = min(_BORDER * found.wheel.radius, _LONGEST_BORDER)

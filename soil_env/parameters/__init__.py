@@ -6,7 +6,7 @@ configs/rovers/*.yaml. `SoilState` is the plain tuple in which compiled code tak
 
 from soil_env._io.loading import ParameterError, config_dir, to_dict
 
-from .belief import Belief, refuse_idle_prior
+from .belief import Belief
 from .course import MOST_CLASSES, Camera, CourseSpec
 from .rover import DEFAULT_ROVER, RoverScenario, load_rover, rover_names
 from .scenario import DEFAULT_SCENARIO, Scenario, load_scenario, scenario_names
@@ -62,7 +62,6 @@ __all__ = [
     "load_rover",
     "load_scenario",
     "lumped_coefficient",
-    "refuse_idle_prior",
     "rover_names",
     "scenario_names",
     "soils",

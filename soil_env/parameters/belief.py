@@ -1,14 +1,13 @@
 """Prior of the identifier."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal
 
-from soil_env._io.loading import Checked, Keys, ParameterError, quantity
+from soil_env._io.loading import Checked, FieldError, quantity
 
 from .soil import MOST_FLOW, MOST_PEAK, SoilSpread, correlation, correlation_factor
 
-#: Fields of `Belief` that a library replaces where its `soils` names one.
+#: Fields of `Belief` that a library replaces where `soils` names one.
 _PRIOR = (
     "friction_angle_deg",
     "friction_sd_deg",
@@ -82,9 +81,19 @@ class Belief(Checked):
     spread: SoilSpread | None = None
 
     def _check_together(self) -> None:
-        """Raise `ParameterError` for correlations that contradict each other; the factor itself is
-        not kept.
+        """Raise `ParameterError` for numbers of the prior that are without effect beside `soils`,
+        and for correlations that contradict each other; the factor itself is not kept.
+
+        Numbers equal to their defaults pass, since what is saved has all fields.
         """
+        for name in _PRIOR:
+            if self.soils and getattr(self, name) != getattr(Belief, name):
+                raise FieldError(
+                    self,
+                    name,
+                    ": without effect beside belief.soils, "
+                    "whose mean and covariance are the prior; expected soils: {} with it",
+                )
         # in the order friction, cohesion, S, K
         correlation_factor(
             self,
@@ -94,24 +103,4 @@ class Belief(Checked):
                 (0, 2): "friction_stiffness",
                 (2, 3): "stiffness_shear_modulus",
             },
-        )
-
-
-def refuse_idle_prior(belief: Keys, where: str, changes: Iterable[str] = ()) -> None:
-    """Raise `ParameterError` if a mapping of `Belief` names soils and also numbers of the prior,
-    which are without effect beside soils.
-
-    A mapping saved from a `Belief` has all fields, so a number equal to its default passes, unless
-    the user gave it by name (`changes`). The message begins with `where` and names
-    the first of the refused numbers.
-    """
-    idle = [
-        name
-        for name in _PRIOR
-        if name in belief and (name in changes or belief[name] != getattr(Belief, name))
-    ]
-    if belief.get("soils") and idle:
-        raise ParameterError(
-            f"{where}: belief.{idle[0]}: without effect beside belief.soils, "
-            "whose mean and covariance are the prior; expected soils: {} with it"
         )

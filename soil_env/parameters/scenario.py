@@ -21,7 +21,7 @@ from soil_env._io.loading import (
     unknown_value,
 )
 
-from .belief import Belief, refuse_idle_prior
+from .belief import Belief
 from .course import Camera, CourseSpec
 from .presets import shipped
 from .sensors import Noise
@@ -280,7 +280,7 @@ def _merged(mapping: Keys, changes: Keys, where: str) -> Keys:
     mixture follows the new one, without soils of weight 0. `belief.soils` in the changes replace
     it. A wheel in the changes that is no mapping, or that names a `preset`, replaces the
     whole wheel. Neither mapping is modified. `ParameterError`, beginning with `where`, for an
-    unknown preset, and for priors of a soil beside `belief.soils`.
+    unknown preset.
     """
     mapping = {key: _plain(value) for key, value in mapping.items()}
     changes = dict(changes)
@@ -295,8 +295,6 @@ def _merged(mapping: Keys, changes: Keys, where: str) -> Keys:
     if "soils" in asked:
         belief = belief | {"soils": asked["soils"]}
         mapping["belief"] = belief
-    named = asked if isinstance(changes.get("belief"), dict) else ()  # a `Belief` has all fields
-    refuse_idle_prior(belief | asked, where, named)
     if "wheel" in changes:
         wheel = changes["wheel"]
         if not isinstance(wheel, dict):

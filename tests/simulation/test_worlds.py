@@ -296,6 +296,18 @@ def test_a_weight_beyond_the_loads_of_a_model_is_warned_of(scatter):
             SoilWheelEnv("mixed", model=narrow, scatter=scatter)
 
 
+def test_a_mixture_beside_the_soil_of_a_model_is_refused():
+    """It would be without effect; with `scatter` a spread counts, without a soil both do."""
+    model = model_of({}, soil=soils()["dry_sand"])
+    spread = {"friction": 0.1}
+    mixture = {"dry_sand": 1.0}
+    for keywords in ({"soils": mixture}, {"soils": mixture, "scatter": True}, {"spread": spread}):
+        with pytest.raises(ParameterError, match="without effect"):
+            SoilWheelEnv("mixed", model=model, **keywords)
+    SoilWheelEnv("mixed", model=model, spread=spread, scatter=True)
+    SoilWheelEnv("mixed", model=model_of({}), soils=mixture, spread=spread)
+
+
 def test_a_least_pull_of_minus_the_weight_takes_soil_that_bogs_the_wheel():
     """With -1 the last soil that was drawn is taken although none passes; with -0.99 there is no
     course.

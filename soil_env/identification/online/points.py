@@ -236,7 +236,8 @@ def collect(point, memory, reading, error, turned, setting):
 
     Pull and torque also count by the precision of the slip: their means are then those at its mean,
     though a wheel that slows down is less sure of it from reading to reading. That precision is by
-    the noisy travel speed, so the mean slip of a slow braked wheel is a little too low.
+    the noisy travel speed, so the mean slip of a slow braked wheel is a little too low: by 0.009 at
+    6 cm/s. By the rim speed alone it would not be, but the errors of ln K and ln S grow by 2 %.
 
     `error`: standard deviation of its slip; `turned` [m/s]: change of the rim speed in the period.
     """
