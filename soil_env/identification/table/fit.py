@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, compress
-from typing import Any
+from typing import Any, NamedTuple
 from warnings import warn
 
 import numpy as np
@@ -144,6 +144,15 @@ class ChannelFit:
 Fits = dict[str, ChannelFit]  # by channel
 
 
+class UnderNoise(NamedTuple):
+    """What the solution under noise alone shows, without errors of the laws."""
+
+    fits: Fits
+    missed: dict[str, float]  # misfit of the channels that it misses (`_missed`)
+    off_prior: list[tuple[float, str]]  # as of `_off_prior`
+    rig: dict[str, float]  # its errors of the rig by label, as in `TableEstimate`
+
+
 def _rms(off: np.ndarray) -> float:
     """Root mean square of the values that are not nan."""
     return math.sqrt(np.nanmean(off**2))
@@ -236,15 +245,15 @@ def identify_table(table: Table, setup: Setup, *, check: bool = True) -> TableEs
             problem.take_noise(examined.noise)
             u, converged = _settle(problem, u, False)
             plain = _fits(problem, u)
-        off_prior = _off_prior(problem, u)
         labels = (_OF_RIG[x.name] for x in problem.rig)
         rig = dict(zip(labels, u[len(problem.soil) :].tolist(), strict=True))
+        exact_laws = UnderNoise(plain, missed, _off_prior(problem, u), rig)
         for _ in range(_FORM_PASSES):
             problem.allow_form_error(u, LAW_ERRORS[np.argmax(problem.by_law_error(u)[0])])
             u, converged = _settle(problem, u, False)
         if not problem.measured[:, 0].any():
             problem.z_ref = float(np.median(problem.steady(u, problem.corrected)[:, 0]))
-        return _summary(problem, u, converged, plain, off_prior, rig, missed, examined, dense)
+        return _summary(problem, u, converged, exact_laws, examined, dense)
 
 
 def _settle(
@@ -293,19 +302,14 @@ def _summary(
     problem: TableProblem,
     u: np.ndarray,
     converged: bool,
-    plain: Fits,
-    off_prior: list[tuple[float, str]],
-    rig: dict[str, float],
-    missed: dict[str, float],
+    exact_laws: UnderNoise,
     examined: Examined,
     dense: str,
 ) -> TableEstimate:
     """The estimate from the solution u, with its intervals over all `LAW_ERRORS` and its warnings.
 
-    `plain`, `off_prior` and `rig` are of the solution under noise alone: its fits, what
-    `_off_prior` says of it, and its errors of the rig. `missed`: misfit of the channels that it
-    misses (`_missed`). `dense`: words on bins, "" for a table without. The covariance is about u,
-    which is the estimate, and not about the mean over the `LAW_ERRORS`, which differs from u.
+    `dense`: words on bins, "" for a table without. The covariance is about u, which is the
+    estimate, and not about the mean over the `LAW_ERRORS`, which differs from u.
     """
     scaling = _derivatives(problem)
     free = [name for name in LABELS if np.any(scaling[name])]
@@ -324,6 +328,7 @@ def _summary(
     of_soil = slice(len(problem.soil))
     by_soil = problem.derivatives(u)[:, of_soil] @ np.linalg.inv(by_u[:, of_soil])
     condition = np.linalg.cond(by_soil * prior_sd)
+    plain = exact_laws.fits
     fits = {
         name: replace(fit, p_value=plain[name].p_value, too_small=plain[name].too_small)
         for name, fit in _fits(problem, u).items()
@@ -333,8 +338,8 @@ def _summary(
     first = [*examined.said, *_units(problem, parameters, plain)]
     exact = tuple(n for n in ("slip", "load") if getattr(problem.setup.noise, n) is None)
     law_error = math.sqrt(sum(p * of.size**2 for p, of in zip(share, LAW_ERRORS, strict=True)))
-    misfit = _misfit(exact, plain, missed, law_error, fits)
-    far, words = max(off_prior, default=(0.0, ""))
+    misfit = _misfit(exact, plain, exact_laws.missed, law_error, fits)
+    far, words = max(exact_laws.off_prior, default=(0.0, ""))
     first += [words] if far > FAR_OFF_PRIOR and not misfit else []
     warnings = [
         *first,
@@ -345,7 +350,7 @@ def _summary(
         *_doubts(
             problem,
             u,
-            [words for _, words in off_prior if words not in first],
+            [words for _, words in exact_laws.off_prior if words not in first],
             converged,
             dense,
         ),
@@ -363,7 +368,7 @@ def _summary(
         load=problem.rows.load,
         values=int(problem.measured.sum()),
         exact=exact,
-        rig=rig,
+        rig=exact_laws.rig,
         converged=converged,
         law_error=law_error,
         check_first=tuple(first),
