@@ -20,7 +20,7 @@ from soil_env._io.loading import (
     unknown_value,
 )
 from soil_env.measurement.setup import setup_of
-from soil_env.parameters import Belief, Noise, Wheel, with_preset
+from soil_env.parameters import Belief, Noise, Scenario, Wheel, with_preset
 from soil_env.parameters.sensors import SENSORS, sizes_of
 
 #: Other units by the SI unit of a reading, each with its value in SI.
@@ -156,8 +156,8 @@ class LogMap(Checked):
     windows: Windows = Windows()  # noqa: RUF009
 
     def _check_together(self) -> None:
-        """Raise `ParameterError` where sources, the slip, noise or the length of a window cannot be
-        right.
+        """Raise `ParameterError` where sources, the slip, noise, the length of a window, or the
+        method or the library of the belief cannot be right.
 
         Wheel speeds have to be read, and speed or slip must be known. A window has at least
         `_LEAST_PERIODS` periods.
@@ -180,6 +180,10 @@ class LogMap(Checked):
                 ": expected readings, which make the time axis; no constant",
             )
         self.noise()  # raises for an sd that is out of range
+        if self.belief.method == "none":
+            raise FieldError(self, "belief.method", " = 'none': expected 'filter'")
+        # Raises for a library with unknown soils; any soil serves as that of the courses.
+        Scenario(self.wheel, {"dry_sand": 1}, belief=self.belief)
         if self.windows.duration < _LEAST_PERIODS * self.period:
             raise ParameterError(
                 f"windows: duration = {self.windows.duration:g} s: expected at least four periods "
@@ -260,9 +264,8 @@ def read_map(path: str | Path) -> LogMap:
         if "body_mass" not in wheel:  # what is measured is relative to the weight
             raise ParameterError(f"{where}: wheel: missing body_mass, the mass [kg] on this wheel")
         mapping["wheel"] = _WHEEL | wheel
-    belief = mapping.get("belief") or {}
     found: LogMap = load(LogMap, mapping, where)
-    if "border" not in belief:
+    if "border" not in (mapping.get("belief") or ()):
         border = min(_BORDER * found.wheel.radius, _LONGEST_BORDER)
         found = dataclasses.replace(found, belief=dataclasses.replace(found.belief, border=border))
     setup_of(  # only for its checks

@@ -88,12 +88,7 @@ class Belief(Checked):
         """
         for name in _PRIOR:
             if self.soils and getattr(self, name) != getattr(Belief, name):
-                raise FieldError(
-                    self,
-                    name,
-                    ": without effect beside belief.soils, "
-                    "whose mean and covariance are the prior; expected soils: {} with it",
-                )
+                raise FieldError(self, name, ": without effect beside belief.soils: expected {}")
         # in the order friction, cohesion, S, K
         correlation_factor(
             self,

@@ -230,6 +230,8 @@ def test_errors_name_topic_and_field_and_the_nearest_known(
         ({"pitch": {"column": "q", "unit": "quaternion"}}, ("channels.pitch", "topic and field")),
         ({"wheel": "planetary_rovr"}, ("wheel", "'planetary_rover'")),
         ({"period": 0.1, "windows": {"duration": 0.3}}, ("windows", "duration")),
+        ({"belief": {"soils": {"dry_sand": 0.0}}}, ("belief.soils", "a weight > 0")),
+        ({"belief": {"method": "none"}}, ("belief.method", "'filter'")),
     ],
 )
 def test_a_map_that_cannot_be_right_is_refused(tmp_path, changes, named):
