@@ -4,6 +4,7 @@ missing.
 
 import copy
 import dataclasses
+import itertools
 import math
 import pickle
 import warnings
@@ -29,7 +30,7 @@ BELIEF = Belief()
 
 def driven(seed, periods):
     """(scenario, readings, infos) of so many periods, the readings out of the observation
-    (float32); the first 100 are in one soil.
+    (float32); None if the first 100 are not in one soil.
     """
     env = gymnasium.make(
         "SoilWheel-v0",
@@ -66,7 +67,8 @@ def driven(seed, periods):
         infos.append(info)
         if step == 100:
             end = env.simulation.worlds.courses["patches"]["end"][0, 0]
-            assert info["state"]["x"] < end - 0.5 * scenario.course.border
+            if info["state"]["x"] >= end - 0.5 * scenario.course.border:
+                return None
         if over or late:
             break
     return scenario, readings, infos
@@ -80,8 +82,9 @@ def drive():
 
 @pytest.fixture(scope="module")
 def short_drives():
-    """`driven` in one soil each."""
-    return [driven(seed, 100) for seed in range(8)]
+    """Eight that are `driven` in one soil each."""
+    every = (driven(seed, 100) for seed in itertools.count())
+    return list(itertools.islice(filter(None, every), 8))
 
 
 def left_by_sinkage(scenario):

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecNormalize
 
 from soil_env._io.files import replace_file
@@ -68,6 +69,8 @@ def learner(
         seed=seed,
         device="cpu",
     )
+    if tensorboard is None:  # SB3's own logger leaves an empty folder in /tmp for each training
+        model.set_logger(Logger(None, []))
     with torch.no_grad():  # exploring around full stop would teach little but how to stall
         model.policy.action_net.bias.fill_(config.initial_action)
         if hasattr(model.policy.mlp_extractor, "line_net"):  # no route is preferred at first

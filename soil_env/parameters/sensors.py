@@ -109,7 +109,8 @@ _NAN = math.nan
 class Readings(NamedTuple):
     """Sensor readings of one wheel at one time, in SI units; NaN where nothing was measured.
 
-    Forward speeds, a pull in the direction of travel and an uphill pitch are positive.
+    Forward speeds, a pull in the direction of travel and an uphill pitch are positive. Give them by
+    name: a further sensor has its place before `time`.
     """
 
     wheel_speed: float = _NAN  # [rad/s]

@@ -141,7 +141,7 @@ def test_a_reading_that_the_common_layout_lacks_is_left_out(monkeypatch):
     more = (*own[:13], replace(own[0], name="another"), *own[13:])
     monkeypatch.setattr(common_layout, "layout", lambda *_: more)
     monkeypatch.setattr(default_policy, "layout", lambda *_: more)
-    monkeypatch.setattr(common_layout, "UNREAD", frozenset(["another"]))
+    monkeypatch.setattr(common_layout, "UNREAD", common_layout.UNREAD | {"another"})
     values = np.insert(values, 13, 0.5, axis=1)
     np.testing.assert_array_equal(DefaultPolicy(scenario).predict(values)[0], action)
     np.testing.assert_array_equal(CommonScaling(scenario)(values), expected)
@@ -153,13 +153,15 @@ def test_common_layout_is_that_of_two_lines_with_a_flag_the_drive_and_the_misfit
         env = SoilWheelEnv(name, scaled=True)
         seen, _ = env.reset(seed=1)
         values = env.physical(seen)
-        for k, entry in enumerate(COMMON[: len(values)]):
-            values[k] = read.get(entry.name, values[k])
+        for entry, value in read.items():
+            values[env.observation_names.index(entry)] = value
         common = CommonScaling(env.scenario)(values[None])[0]
+        own = [n not in common_layout.UNREAD for n in env.observation_names]
+        scaled = env.scaling(values[None])[0, own]
         assert len(common) == len(NAMES)
         shared, added, bands = np.split(common, [len(COMMON), len(COMMON) + len(ADDED)])
-        assert shared[: seen.size] == pytest.approx(env.scaling(values[None])[0], abs=1e-5)
-        assert not shared[seen.size :].any()
+        assert shared[: scaled.size] == pytest.approx(scaled, abs=1e-5)
+        assert not shared[scaled.size :].any()
         assert added == pytest.approx(np.array([camera, 0.2, 1.5857, 0.15]), rel=1e-3)
         # The misfit is pull over load, 0.3 / 1.5, less the best pull; the slip lies halfway from
         # the first band to the second.

@@ -3,6 +3,7 @@ refused.
 """
 
 import json
+import tempfile
 import zipfile
 from dataclasses import replace
 from functools import partial
@@ -93,6 +94,14 @@ def test_the_exploration_narrows_over_a_training_or_is_learned(scenario, final, 
     expected = [-1.0 - falls * k / 4 for k in (1, 2, 3)]
     assert seen[:: TINY.n_steps] == pytest.approx(expected, abs=0.0 if falls else 0.1)
     assert len(set(seen)) == 3 and model.policy.log_std.requires_grad == (final is None)
+
+
+def test_a_training_leaves_nothing_in_the_folder_of_temporary_files(
+    scenario, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    build(scenario, "identified", TINY, 0).learn(ROLLOUT)
+    assert not list(tmp_path.iterdir())
 
 
 def test_resume_starts_new_courses_with_new_noise(saved, scenario):

@@ -25,6 +25,8 @@ from click.testing import CliRunner
 
 from soil_env.cli import soil_env
 from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv
+from soil_env.logs.mapping import UNITS
+from soil_env.online import Readings
 from soil_env.simulation.task import Cause
 from tests.conftest import ROOT
 from tests.programs import python
@@ -298,6 +300,15 @@ def test_the_observation_tables(page, env_id, variant, once, twice):
     assert sum(len(found[name]) for name in once) + 2 * sum(
         len(found[name]) for name in twice
     ) == len(expected)
+
+
+@pytest.mark.parametrize(
+    ("page", "names"), [("online.md", Readings._fields), ("logs.md", UNITS)], ids=["online", "logs"]
+)
+def test_the_tables_of_readings(page, names):
+    text = (DOCS / "guide" / page).read_text(encoding="utf-8")
+    table = text.split("\n| reading |")[1].split("\n\n")[0]
+    assert sorted(re.findall(r"^\| `(\w+)` ", table, re.MULTILINE)) == sorted(names)
 
 
 @pytest.mark.parametrize(
