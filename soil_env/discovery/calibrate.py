@@ -360,11 +360,14 @@ class Problem:
         [N m], [N, 3]; NaN where the model has no value.
 
         `values`: fitted parameters by name. `guess` [N]: sinkages [m] to start from, overwritten by
-        the solution. `rows`: those of the table if None. `peak_shift`: as of `predict_table`.
+        the solution. `rows`: those of the table if None. `peak_shift` [of the entry angle] is added
+        to that of the effects, as by `form_error.StressChange`.
+
         Errors of the rig and laws without a name change the rows before the laws of the world, and
         the outcome after them.
         """
         fx = self.effects(choices, values)
+        fx = fx._replace(stress_peak_shift_offset=fx.stress_peak_shift_offset + peak_shift)
         soil = self.known | values
         unit_weight = self.density * self.data.setup.gravity
         # Parameters of errors of the rig and of laws without a name.
@@ -378,9 +381,7 @@ class Problem:
 
         def outcome(under: Rows) -> np.ndarray:
             """Steady values [N, 3] by the laws of the world."""
-            return predict_table(
-                self.data.setup, under, soil, unit_weight, fx, guess, by_row, peak_shift
-            )
+            return predict_table(self.data.setup, under, soil, unit_weight, fx, guess, by_row)
 
         out = in_balance(loaded(rows, outside, self.bench.load), outside, outcome)
         return reading(changed(out, rows, outside, self.bench), outside, rows)

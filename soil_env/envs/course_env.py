@@ -35,9 +35,6 @@ OWN = ("observation", "action", "repeat", "render_mode", "model", "scatter", "in
 #: The same of a vector environment.
 OF_MANY = (*OWN, "num_envs", "autoreset_mode", "max_episode_steps", "threads")
 _RUNNING = Cause.RUNNING.value
-# masks of the single course, as `infos` takes them: the course, and no course
-_ONLY = np.ones(1, dtype=np.bool_)
-_NONE = np.zeros(1, dtype=np.bool_)
 
 
 def _whole_number(name: str, given: object, least: int) -> int:
@@ -254,7 +251,6 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
         self._over = True  # and stays so where no course is found, which raises here
         self.simulation.restart(0)
         self._over = False
-        self.infos.mark_stale(_ONLY)
         if self.render_mode is not None:
             self._view().clear()
         self._record()
@@ -276,7 +272,6 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
             )
         commands = actions_of(action, self._shape)
         self.simulation.step(0, commands if commands.size > 1 else commands.item())
-        self.infos.after_step(_NONE)
         worlds = self.simulation.worlds
         self._over = worlds.cause.item(0) != _RUNNING
         self._record()
@@ -420,7 +415,6 @@ class CourseVectorEnv(
         self._done[mask] = True  # and stays so where no course is found, which raises here
         self.simulation.restart_where(mask)
         self._done[mask] = False
-        self.infos.mark_stale(mask)
         info = self.infos.many()
         if self.world is not None and self.infos.kind in NESTED:
             info["world"] = for_each(self.world, self.num_envs)
@@ -492,7 +486,6 @@ class CourseVectorEnv(
             )
         # bools as orders: False is STEP, and True, for a course that has ended, is RESTART
         self.simulation.step_all(commands, self._done.view(np.int8))
-        self.infos.after_step(self._done)
         terminated = worlds.cause != _RUNNING
         truncated = self.simulation.steps > self._longest
         np.logical_or(terminated, truncated, out=self._done)
@@ -501,7 +494,6 @@ class CourseVectorEnv(
         if self.autoreset_mode == AutoresetMode.SAME_STEP and self._done.any():
             finals = self._finals()
             self.simulation.restart_where(self._done)
-            self.infos.mark_stale(self._done)
             self._done[:] = False
         return (
             self.scaling(worlds.observation),

@@ -128,13 +128,12 @@ class VehicleInfos:
 class Infos(VehicleInfos):
     """Infos of the wheels of one `Simulation`.
 
-    The group `traversability` is that of the last change of the estimate (`mark_stale`), but for
-    its probabilities of immobilisation, which are of now.
+    The group `traversability` is that of the last change of the estimate, with the load and the
+    pitch observed then, but for its probabilities of immobilisation, which are of now.
     """
 
     def __init__(self, simulation: Simulation, kind: str) -> None:
         super().__init__(simulation, kind)
-        wheels = simulation.count
         self._assess: Any = None
         self._foresight: Any = None
         if simulation.belief is not None:
@@ -143,26 +142,7 @@ class Infos(VehicleInfos):
 
             self._assess = assess_ground
             self._foresight = ImmobilisationWarning(self.scenario)
-        # load [of weight] and pitch [rad] when the estimate last changed
-        self._seen = np.zeros((wheels, 2))
-        self._stale = np.ones(wheels, dtype=np.bool_)
-        self._traversability = np.zeros((wheels, len(_COLUMNS)))
-
-    def after_step(self, reset: np.ndarray) -> None:
-        """Mark traversabilities as out of date whose estimate a step has changed, or whose wheel it
-        has reset, `reset` [wheels] bool. Nothing where no info needs them.
-        """
-        if asks(self.kind):
-            which = (self._simulation.worlds.changed > 0) | reset
-            if which.any():
-                self.mark_stale(which)
-
-    def mark_stale(self, which: np.ndarray) -> None:
-        """Mark the traversability of the wheels `which` [wheels] bool as out of date, and keep the
-        load and pitch observed now. It is computed from them when an info is asked for.
-        """
-        self._seen[which] = self._simulation.worlds.observation[which][:, _SEEN]
-        self._stale |= which
+        self._traversability = np.zeros((simulation.count, len(_COLUMNS)))
 
     def one(self, k: int) -> Info:
         """Info of wheel k: in words and numbers of Python with "full" and "state", else numbers of
@@ -209,15 +189,16 @@ class Infos(VehicleInfos):
     def _renewed(self, worlds: Any, rows: np.ndarray) -> np.ndarray:
         """Traversability of all wheels, [wheels, 6] in the order of `Traversability`.
 
-        Those of `rows` [n] that are out of date are computed anew first; others may stay out of
-        date. The array is that of this object: callers copy what they return.
+        Those of `rows` [n] whose estimate has changed since the last call are computed anew first.
+        The array is that of this object: callers copy what they return.
         """
-        rows = rows[self._stale[rows]]
+        rows = rows[worlds.changed[rows] > 0]
         if rows.size:
             ids = worlds.ids
+            seen = worlds.observation[:, _SEEN].astype(np.float64)
             setting = self._simulation.belief
-            self._assess(rows, ids.estimate, ids.sd, self._seen, setting, self._traversability)
-            self._stale[rows] = False
+            self._assess(rows, ids.estimate, ids.sd, seen, setting, self._traversability)
+            worlds.changed[rows] = 0
         return self._traversability
 
     def _groups(self) -> Info:

@@ -29,13 +29,6 @@ class RoverInfos(VehicleInfos):
         """
         return _one_of(self.many(), j, self.kind in NESTED)
 
-    def after_step(self, reset: np.ndarray) -> None:
-        """Do nothing: there is no traversability to renew, as `Infos.after_step` has, and estimates
-        are read when an info is asked for.
-        """
-
-    mark_stale = after_step
-
     def _groups(self) -> Info:
         """States of body and axles of all rovers, and the estimate of each axle if the kind asks
         for it.

@@ -59,7 +59,8 @@ class Worlds(NamedTuple):
     on_board: Any = None  # memory of the estimators
     ids: Any = None  # estimates of each wheel by its own readings
     memory: Any = None  # of wheels: what was learnt of each terrain class
-    changed: Any = None  # of wheels: > 0 where the last step changed the estimate
+    # of wheels: > 0 where the last step or restart changed the estimate, until an info shows it
+    changed: Any = None
     recent: Any = None  # of wheels: averages for the warning of an immobilisation
     known: Any = None  # of rovers: estimates of each wheel by the readings of all
 

@@ -60,7 +60,7 @@ KILOPASCAL = 1e3  # [Pa] unit in which cohesion is observed
 #: Memory of the estimators of a wheel, and of a rover from its front wheel on.
 ON_WHEEL, ON_ROVER = (
     record(
-        changed=("i8",),  # 1 if the last step changed the estimate
+        changed=("i8",),  # 1 if the last step, or a restart, changed the estimate
         recent=("f8", RECENT),  # for warnings: averages and view
         identifier=(MEMORY, axles),
         pools=(POOL, axles),
@@ -162,7 +162,7 @@ class OnBoard:
         """What others read, by name.
 
         `on_board`: the whole memory. Of wheels also `ids`: published estimates; `changed`: 1 where
-        the last step changed one; `recent`: averages for warnings, empty unless they are kept;
+        the last step or restart changed one; `recent`: averages for warnings, empty unless kept;
         `memory`: classes of terrain. Of rovers also two sets of estimates [rovers, axles], `ids` by
         the readings of each wheel and `known` by those of all wheels.
         """
@@ -339,7 +339,7 @@ def _restart(vehicle, sample, board):
         vehicle.identifier[a] = numbers.blank[0]
         forget_pool(vehicle.pools[a], vehicle.identifier[a])
     forget_classes(vehicle.classes[0], numbers)
-    vehicle.changed = 0
+    vehicle.changed = 1
     if board.warns > 0:
         begin_averages(vehicle.recent, sample, numbers, board.warning[0])
     _see_ahead(vehicle, sample, board)

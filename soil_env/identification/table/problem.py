@@ -298,9 +298,8 @@ class TableProblem:
             rows,
             self.values(u) | change.soil,
             _NO_WEIGHT,
-            NO_EFFECTS,
+            NO_EFFECTS._replace(stress_peak_shift_offset=change.peak_shift),
             np.zeros(rows.slip.size),
-            peak_shift=change.peak_shift,
         )
 
     def by_conditions(self, u: np.ndarray) -> np.ndarray:

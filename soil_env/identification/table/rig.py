@@ -27,7 +27,6 @@ def predict_table(
     fx: Effects,
     guess: np.ndarray,
     factors: np.ndarray | None = None,
-    peak_shift: float = 0.0,
 ) -> np.ndarray:
     """Sinkage [m], drawbar pull [N] and torque [N m], [N, 3], at the `rows` on soil with the
     parameters `values` by name and the laws of the setup.
@@ -35,7 +34,6 @@ def predict_table(
     `unit_weight` [N/m3] of the soil. `fx`: effects. `guess` [N]: sinkages [m] from which the
     balance of the load starts, 0 for none. Those that are found overwrite it, with 0 where the soil
     does not carry the load. `factors` [N, 4] multiply the `BY_ROW` parameters; None is 1.
-    `peak_shift` is added to that of the effects, as by `form_error.StressChange`.
 
     A force W of the rig that stands on ground inclined by b against it presses with W cos(b) on the
     ground and acts with W sin(b) against the pull. b is the tilt of the rig (`tilt_deg` of
@@ -52,7 +50,6 @@ def predict_table(
         **given_laws(setup),
     )
     tilt = math.radians(values.get("tilt_deg", 0.0))
-    fx = fx._replace(stress_peak_shift_offset=fx.stress_peak_shift_offset + peak_shift)
     along: np.ndarray | float = 0.0  # [N] of the load, against the pull
     if setup.load == "vertical":
         fx = fx._replace(grade_share=fx.grade_share + 1.0)  # `weight_on_slope` resolves the load

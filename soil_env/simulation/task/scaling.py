@@ -36,11 +36,11 @@ class Scaling:
         names = [e.name for e in self.entries]
         self.centre = np.array([e.centre for e in self.entries], dtype=np.float32)
         self.scale = np.array([e.scale for e in self.entries], dtype=np.float32)
-        # for each entry the index of the one that is 0 exactly where its route is out of sight;
-        # its own, where it belongs to no route or is 0 on both sides anyway
+        # for each entry of a route, but those that are 0 on both sides anyway, the index of the one
+        # that is 0 exactly where the route is out of sight
         self._mark = np.arange(len(names))
-        # for each entry 0 if it is set to 0 then, else 1
-        self._kept = np.ones(len(names), dtype=np.float32)
+        # for each entry what that one is then; NaN, which no value equals, for all others
+        self._unseen = np.full(len(names), np.nan, dtype=np.float32)
         self._routes = []  # of each route, indices of the entries whose centre is not 0
         for route in ROUTES:
             prefix = f"{route}_"
@@ -49,7 +49,7 @@ class Scaling:
                     k for k, n in enumerate(names) if n.startswith(prefix) and self.centre[k] != 0.0
                 ]
                 self._mark[columns] = names.index(prefix + _SHOWS_SIGHT)
-                self._kept[columns] = 0.0
+                self._unseen[columns] = 0.0
                 self._routes.append(columns)
 
     @property
@@ -66,11 +66,10 @@ class Scaling:
         """
         if not self.scaled:
             return +values  # a copy
-        out = (values - self.centre) / self.scale
         if not self._routes:
-            return out
-        # + 0.0 makes 0 of -0
-        return np.where(values[..., self._mark] == 0.0, out * self._kept + 0.0, out)
+            return (values - self.centre) / self.scale
+        in_sight = values.take(self._mark, axis=-1) != self._unseen
+        return (values - self.centre * in_sight) / self.scale
 
     def physical(self, observation: Any) -> NDArray[np.float32]:
         """Values [..., D] in their units, a new array, from observations [..., D], the inverse of a
