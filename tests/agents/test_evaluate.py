@@ -421,6 +421,8 @@ def test_what_other_code_or_another_class_tuned_is_tuned_again(tmp_path, monkeyp
         assert len(tuned(replace(study, **edited))) == 2
     module.write_text(BOUNDED + "\n# edited\n")
     assert tuned(study) == ["bounded_of_a_test:Bounded"]
+    monkeypatch.setattr(command, "shipped_settings", lambda *_: {"fixed_slip": {"slip": 0.2}})
+    assert "fixed_slip" in tuned(study)  # configs/tuned was edited
 
 
 REFUSED = {  # controllers: parts of the message, between " ... "

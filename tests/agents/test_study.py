@@ -177,6 +177,24 @@ def test_lost_cells_are_done_again_and_give_the_same(finished, copied, elsewhere
     assert (copied / "study.json").read_bytes() == (finished / "study.json").read_bytes()
 
 
+def test_other_shipped_settings_are_other_cells(tmp_path, monkeypatch):
+    """Settings of configs/tuned count where a tuning may take them: not in a study of worlds, nor
+    where the arm has its own.
+    """
+
+    def needs(worlds, settings):
+        arm = {"controller": "fixed_slip", "settings": settings}
+        content = {"controllers": [], "arms": {"rule": arm}, "worlds": worlds}
+        asked = read_config(config(tmp_path, scenarios={"mixed": {}}, **content))
+        return [work.Work(asked, tmp_path).needs(cell) for cell in asked.cells()]
+
+    cases = ({}, {}), ({}, {"slip": 0.3}), ({"hidden": {"model": "effect.yaml"}}, {})
+    before = [needs(*case) for case in cases]
+    monkeypatch.setattr(work, "shipped_settings", lambda *_: {"fixed_slip": {"slip": 0.2}})
+    after = [needs(*case) for case in cases]
+    assert [a == b for a, b in zip(before, after, strict=True)] == [False, True, True]
+
+
 @pytest.mark.usefixtures("unrendered")
 def test_a_study_grows_by_seeds_and_by_nothing_else(finished, copied, tmp_path, capsys):
     longer = ["--train.timesteps", "100"]

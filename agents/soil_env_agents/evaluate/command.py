@@ -35,7 +35,7 @@ from . import contestants, evaluation, report
 from .driving import HELD_OUT_SET, TUNING_SET
 from .evaluation import Evaluation
 from .own import bounds_of_settings, code_digest
-from .tuning import tuned_settings
+from .tuning import shipped_settings, tuned_settings
 
 _TUNING_COURSES = 200  # as train.py
 _TUNING = "tuning.log"  # trials of a tuning that is not finished
@@ -241,7 +241,8 @@ def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
             raise ParameterError(
                 f"controllers: {name!r}: {count} classes to tune: expected a name for each"
             )
-    task = [asked.task, asked.model, asked.tuning_courses]
+    shipped = shipped_settings(asked.scenario, asked.tuning_courses, asked.world)
+    task = [asked.task, asked.model, asked.tuning_courses, shipped]
     codes = {
         c.name: cells.digest_of([*task, code_digest(c.source) if c.kind == "class" else ""])
         for c in own

@@ -18,7 +18,7 @@ from ..evaluate.contestants import Contestant
 from ..evaluate.driving import Runs, run_courses
 from ..evaluate.loading import load
 from ..evaluate.own import code_digest
-from ..evaluate.tuning import tuned_settings
+from ..evaluate.tuning import shipped_settings, tuned_settings
 from ..progress import show
 from .config import Cell, Study
 
@@ -69,6 +69,9 @@ class Work:
     def __init__(self, study: Study, folder: Path | None):
         self.study = study
         self.folder = folder
+        # With worlds nothing is taken from the package, which has settings for a world without
+        # effects alone: so all are tuned by as many trials on as many courses.
+        self._anew = bool(study.worlds)
 
     def needs(self, cell: Cell) -> dict:
         """All that the result of a cell depends on beside its name, as plain values: where they
@@ -79,8 +82,12 @@ class Work:
         study = self.study
         arm = study.arms[cell.arm]
         targets = [study.targets[name] for name in (cell.source, *study.fed_by(cell.source))]
+        shipped = {}
+        if not (arm.settings or self._anew):
+            shipped = shipped_settings(targets[0].scenario, study.tuning_courses)
         return {
             "arm": to_dict(arm),
+            "shipped": shipped.get(arm.controller, {}),  # what its tuning may take as it is
             # of a user's controller, given as "module:Class"
             "code": code_digest(arm.controller) if ":" in arm.controller else "",
             "world": to_dict(study.worlds[arm.world]) if arm.world else {},
@@ -150,11 +157,8 @@ class Work:
         name = self.study.arms[cell.arm].controller
         log = folder / "tuned" / f"{cell}.log"
         log.parent.mkdir(parents=True, exist_ok=True)
-        # With worlds nothing is taken from the package, which has settings for a world without
-        # effects alone: so all are tuned by as many trials on as many courses.
-        anew = bool(self.study.worlds)
-        chosen = tuned_settings(scenario, self.study.tuning_courses, (name,), model, log, anew)
-        return chosen.get(name, {})
+        courses = self.study.tuning_courses
+        return tuned_settings(scenario, courses, (name,), model, log, self._anew).get(name, {})
 
 
 def driven(study: Study, folder: Path) -> tuple[dict[str, dict[str, list[Runs]]], dict[str, dict]]:
