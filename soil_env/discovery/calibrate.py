@@ -66,7 +66,7 @@ from soil_env.identification.table.problem import (
     differences,
     most_probable,
 )
-from soil_env.identification.table.rig import predict_table
+from soil_env.identification.table.rig import predict_table, shifted
 from soil_env.slip import sliding_speeds
 from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, Effects
 from soil_env.terramechanics.effects.entry import Bench
@@ -360,14 +360,12 @@ class Problem:
         [N m], [N, 3]; NaN where the model has no value.
 
         `values`: fitted parameters by name. `guess` [N]: sinkages [m] to start from, overwritten by
-        the solution. `rows`: those of the table if None. `peak_shift` [of the entry angle] is added
-        to that of the effects, as by `form_error.StressChange`.
+        the solution. `rows`: those of the table if None. `peak_shift`: as of `form_error.StressChange`.
 
         Errors of the rig and laws without a name change the rows before the laws of the world, and
         the outcome after them.
         """
-        fx = self.effects(choices, values)
-        fx = fx._replace(stress_peak_shift_offset=fx.stress_peak_shift_offset + peak_shift)
+        fx = shifted(self.effects(choices, values), peak_shift)
         soil = self.known | values
         unit_weight = self.density * self.data.setup.gravity
         # Parameters of errors of the rig and of laws without a name.

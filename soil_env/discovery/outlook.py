@@ -25,7 +25,7 @@ FEWEST_SLIPS = 3  # slips of these: a curve has a level, a rise and a scale of t
 
 
 class Errors(NamedTuple):
-    """Root mean square of measured less predicted values of rows that were left out [unit of the
+    """Root mean square of predicted less measured values of rows that were left out [unit of the
     channel], by each kind of prediction, and the noise.
     """
 

@@ -254,8 +254,8 @@ def read_map(path: str | Path) -> LogMap:
     """The map in a YAML file; `ParameterError` with one line for anything unknown, misspelt or out
     of range.
 
-    `wheel` may name a preset; a wheel of its own needs body_mass, and the rest of `_WHEEL` is
-    filled in. Without `belief.border` a border is `_BORDER` wheel radii long.
+    `wheel` may name a preset; a wheel of its own needs radius, width and body_mass, and what it
+    lacks of `_WHEEL` is filled in. Without `belief.border` a border is `_BORDER` wheel radii long.
     """
     mapping = read_yaml(Path(path))
     where = str(path)

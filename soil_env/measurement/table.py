@@ -60,6 +60,7 @@ MOST_SLIP_OVER_TRAVEL = 2.0
 MOST_PERCENT = 100.0
 STEEPEST_IN_RADIANS = 40.0  # [deg] grades that look like radians are all below it
 FEWEST_DIGITS = 3  # of a grade behind the point, that looks like radians
+MOST_DIGITS = 6  # of longer ones that are compared, as single precision has them
 EXACTEST = 1e-9  # least standard deviation, in the unit of its column
 COARSEST = 1e6  # largest one
 
@@ -537,17 +538,17 @@ def look_like_radians(cells: list[str]) -> bool:
     count.
 
     Read as radians, every grade is below `STEEPEST_IN_RADIANS` and is a whole degree, rounded to
-    the digits of the cell, `FEWEST_DIGITS` at least. One grade alone looks so by chance in six of a
-    thousand cases with four digits.
+    the digits of the cell: `FEWEST_DIGITS` at least, `MOST_DIGITS` of longer cells. One grade
+    alone looks so by chance in six of a thousand cases with four digits.
     """
     grades = [cell for cell in cells if cell and float(cell) != 0.0]
     for grade in grades:
         x = float(grade)
-        digits = len(grade.rpartition(".")[2])
+        digits = min(len(grade.rpartition(".")[2]), MOST_DIGITS)
         if digits < FEWEST_DIGITS or not abs(x) < math.radians(STEEPEST_IN_RADIANS):
             return False
         whole = round(math.radians(round(math.degrees(x))), digits)
-        # both have the digits of the cell: equal but for the rounding of floats
-        if abs(whole - x) >= 10.0**-digits * 1e-3:
+        # both have the same digits: equal but for the rounding of floats
+        if abs(whole - round(x, digits)) >= 10.0**-digits * 1e-3:
             return False
     return bool(grades)

@@ -376,8 +376,8 @@ def pull_misfits() -> list[float]:
 
 
 def sinkages(soil: ArrayLike, slip: np.ndarray, e: Equations) -> np.ndarray:
-    """Sinkages [M] in m, of one radius at most, at which (1) carries `WONG_REECE_LOAD`, for each
-    slip [M]. `soil` is (phi [deg], K [m], S).
+    """Sinkages [M] in m, of one radius at most, at which Eq. (1) carries `WONG_REECE_LOAD`, for
+    each slip [M]. `soil` is (phi [deg], K [m], S).
     """
 
     def excess(sinkage: float, i: float) -> float:

@@ -115,9 +115,10 @@ def draw_ground(
     bottom = scene.box[1] + scene.box[3]
     c.soil(scene.at(surface), bottom, profile.friction_between(x), bounds)
     before = profile.at(x)
-    untouched = scene.at(before)[before[:, 1] - surface[:, 1] > least]
-    for i in range(0, len(untouched) - 2, 4):  # of four points a dash of three
-        c.lines(untouched[i : i + 3], GREY, 1.2)
+    rutted = np.flatnonzero(before[:, 1] - surface[:, 1] > least)
+    for rut in np.split(rutted, np.flatnonzero(np.diff(rutted) > 1) + 1):
+        for i in range(0, len(rut) - 2, 4):  # of four points a dash of three
+            c.lines(scene.at(before[rut[i : i + 3]]), GREY, 1.2)
 
 
 def draw_flag(c: Canvas, scene: Scene, foot: np.ndarray) -> None:

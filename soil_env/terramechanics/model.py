@@ -352,7 +352,7 @@ def _mapping(conditions: Any) -> Mapping[str, ArrayLike]:
     """
     if isinstance(conditions, Mapping):
         return conditions
-    if not hasattr(conditions, "conditions"):
+    if not callable(getattr(conditions, "conditions", None)):
         raise ParameterError(
             f"conditions = {conditions!r}: expected a Table or a mapping of arrays"
         )

@@ -32,9 +32,17 @@ from .contact import (
     shear_rates,
     stretched,
 )
-from .effects import NO_EFFECTS, Effects, drive_friction, grousers, soil_in_contact, soil_resistance
+from .effects import (
+    NO_EFFECTS,
+    Effects,
+    drive_friction,
+    grousers,
+    soil_at_rim,
+    soil_in_contact,
+    soil_resistance,
+)
 from .effects.entry import Passage
-from .effects.shear_softening import mobilisation, shear_length_ratio
+from .effects.shear_softening import mobilisation
 from .effects.slip_sinkage import excavated_depth
 from .ground import strengthened
 from .residual import WorkingPoint, residual_law, residual_under
@@ -295,10 +303,10 @@ def _soil_and_arc(at, slip, soil, wheel, fx):
         ground = soil_in_contact(soil, passage, fx)
         shift = braked_shift(at.braked, ground)
         arc = arc_of(at.sinkage, slip, shift, at.load, fx, wheel)
-        shear_ratio = wheel.shear_ratio
-        modulus = ground.shear_modulus * shear_length_ratio(fx) / shear_ratio
+        sheared = soil_at_rim(ground, passage, fx)
         # stronger by the larger radius at which it is sheared; `_at_the_axle` has the longer lever
-        sheared = strengthened(ground, shear_ratio, modulus)
+        ratio = wheel.shear_ratio
+        sheared = strengthened(sheared, ratio, sheared.shear_modulus / ratio)
         return (
             _gripped(sheared, arc, at.load, wheel),
             arc,

@@ -40,7 +40,15 @@ from .contact import (
     stretched,
     substitute_radius,
 )
-from .effects import Effects, arc_ends, drive_torque, soil_in_contact, soil_resistance, switched_on
+from .effects import (
+    Effects,
+    arc_ends,
+    drive_torque,
+    soil_at_rim,
+    soil_in_contact,
+    soil_resistance,
+    switched_on,
+)
 from .effects.entry import Passage
 from .effects.grade import weight_on_slope
 from .effects.grousers import (
@@ -49,7 +57,7 @@ from .effects.grousers import (
     contact_radius,
     shear_radius_ratio,
 )
-from .effects.shear_softening import JANOSI, mobilisation, shear_length_ratio
+from .effects.shear_softening import JANOSI, mobilisation
 from .effects.slip_bias import true_slip
 from .effects.slip_sinkage import apparent_ratio, excavated_depth, slip_sinkage_ratio
 from .ground import stiffened, strengthened, with_strength
@@ -218,9 +226,9 @@ def _balance(slip, load, soil, wheel, conditions, fx):
     `wheel` a `Rim`.
 
     With effects the weight is split into its parts normal to and along the grade, and the soil is
-    that of `soil_in_contact`. Lugs shear it at a larger radius; with `grousers_slip_at_rim` the rim
-    speed is that of this radius, too. The depth excavated whatever the load is at most `MOST_LIFT`
-    of `DEEPEST` radii.
+    that of `soil_in_contact` and `soil_at_rim`. Lugs shear it at a larger radius; with
+    `grousers_slip_at_rim` the rim speed is that of this radius, too. The depth excavated whatever
+    the load is at most `MOST_LIFT` of `DEEPEST` radii.
     """
     rim, travel = motion_from_slip(slip)
     if fx is None:
@@ -246,8 +254,8 @@ def _balance(slip, load, soil, wheel, conditions, fx):
         if fx.grousers_slip_at_rim > 0.0:
             stretch = contact_radius(wheel, fx) / wheel.radius
             rim *= stretch * q
-        modulus = stretch * ground.shear_modulus * shear_length_ratio(fx)
-        sheared = strengthened(ground, q, modulus)
+        sheared = soil_at_rim(ground, passage, fx)
+        sheared = strengthened(sheared, q, stretch * sheared.shear_modulus)
         law = stretched(mobilisation(fx), stretch)
         lift = min(excavated_depth(slip, fx), MOST_LIFT * DEEPEST * wheel.radius)
         ratio = dug_ratio(slip, ground)

@@ -259,6 +259,13 @@ def test_grades_without_a_number_are_no_radians():
     assert look_like_radians(["0.0873", "-0.1745"]) and not look_like_radians(["0.0873", "nan"])
 
 
+@pytest.mark.parametrize("kind", [float, np.float32])
+def test_grades_in_radians_of_full_precision_look_like_it(kind):
+    for degrees in range(1, 31):
+        assert look_like_radians([repr(float(kind(degrees * math.pi / 180.0)))]), degrees
+        assert not look_like_radians([repr(float(kind((degrees + 0.01) * math.pi / 180.0)))])
+
+
 def test_reads_a_setup(tmp_path):
     """All that it may say, the numbers that look like another unit, and what is left out."""
     s = read_setup(

@@ -4,6 +4,7 @@ video.
 
 import math
 import os
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -12,7 +13,7 @@ from scipy.integrate import trapezoid
 
 from soil_env.parameters import load_rover, load_scenario, rover_names
 from soil_env.rendering import canvas
-from soil_env.rendering.ground import profile_of
+from soil_env.rendering.ground import draw_ground, profile_of
 from soil_env.rendering.side_view import AT, SCENE, hubs_of, shown_wheels, width_of
 from soil_env.rendering.view import CourseView
 from soil_env.rendering.wheels import stresses_under
@@ -175,6 +176,19 @@ def test_off_screen_pictures_need_no_display():
     env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     env |= {"SDL_VIDEODRIVER": "nonexistent", "PYTHONPATH": str(ROOT)}
     python("-c", code, env=env)
+
+
+def test_no_dash_joins_two_ruts():
+    x = np.linspace(0.0, 10.0, 101)
+    level = np.stack((x, np.zeros(x.size)), axis=1)
+    rutted = ((x > 0.95) & (x < 1.45)) | ((x > 7.95) & (x < 8.35))
+    surface = level - np.where(rutted, 0.1, 0.0)[:, None] * (0.0, 1.0)
+    dashes = []
+    drawn = SimpleNamespace(soil=lambda *_: None, lines=lambda points, *_: dashes.append(points))
+    scene = SimpleNamespace(box=(0, 0, 10, 10), at=lambda points: points)
+    profile = SimpleNamespace(at=lambda _: level, friction_between=lambda _: None)
+    draw_ground(drawn, scene, x, profile, surface, 0.01, (20.0, 40.0))
+    assert [np.ptp(dash[:, 0]) for dash in dashes] == pytest.approx([0.2, 0.2])
 
 
 def test_a_window_shows_the_picture(monkeypatch):

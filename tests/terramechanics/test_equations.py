@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 
 import pytest
 
@@ -190,3 +191,9 @@ def test_a_number_after_a_digit_is_in_brackets():
     effect = effects.CATALOGUE["shear_softening"]
     values = CASES["shear_softening-hump"]["shear_softening"] | {"sharpness": 2.56}
     assert "tau_max 4 (2.56) (1 - x)" in text.fitted(effect, effect.forms[0], values)
+
+
+def test_a_number_in_brackets_gets_no_second_pair():
+    effect = effects.CATALOGUE["sinkage_offset"]
+    form = replace(effect.forms[0], equation="z = tan({offset}) + ({offset} - 1)")
+    assert text.fitted(effect, form, {"offset": 0.5}) == "z = tan(0.5 m) + ((0.5 m) - 1)"

@@ -6,6 +6,7 @@ import pickle
 import re
 import warnings
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from scipy.optimize import brentq
 
 from soil_env.measurement.table import read_table
 from soil_env.parameters import Layer, Soil, Tyre, soils, wheels
-from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel, rows_of
 from soil_env.terramechanics.residual import ResidualTable, ResidualTerm
 from soil_env.terramechanics.steady import LEVEL, Conditions, Rim, steady_with
 from soil_env.terramechanics.validity import OutsideValidity
@@ -82,6 +83,8 @@ def test_a_table_and_a_mapping_are_predicted_row_by_row(tmp_path):
     np.testing.assert_array_equal(
         stacked(MODEL.predict(read_table(tmp_path / "data.csv"))), stacked(found)
     )
+    for other in (3, rows_of(given, MODEL.wheel)):
+        refused(partial(MODEL.predict, other), "expected a Table or a mapping of arrays")
 
 
 def test_a_grade_that_changes_nothing_is_said():

@@ -41,9 +41,8 @@ LEAST_SCATTER = 1e-2
 LEAST_GAIN = 1e-3  # [-] least gain of slip-sinkage, whose logarithm is taken, own choice
 # [of the weight of the library] weight of a soil that is like none of the library, own choice
 STRANGE = 0.2
-#: White noise, in the units of `Noise`, of what a sensor of the body does not measure of one wheel,
-#: own choice: no weight beside what is measured.
-OF_BODY = 1e6
+#: White noise, in the units of `Noise`, so large that a reading has no weight; own choice.
+NO_WEIGHT = 1e6
 _LEAST_WIDTH = 0.95  # [of the standard deviation] least of `widths`, own choice
 _WIDEST = 4.0  # [of the standard deviation] half width up to which `widths` are sought, own choice
 _DEPTH = 0.2  # [wheel radii] depth at which pressures are compared, own choice
@@ -235,14 +234,15 @@ def setting_of(scenario: Scenario) -> np.ndarray:
 
 
 def limit_to_wheel(setting: np.ndarray, scenario: RoverScenario) -> None:
-    """Give no weight, in the `SETTING` of one wheel of a rover, to readings that do not tell of it.
+    """Give no weight, in the `SETTING` of one wheel of a rover, to two readings (`NO_WEIGHT`).
 
-    The accelerometer measures the body. The torque of a motor whose speed loop turns the wheel
-    faster or slower is read at the end of a period, and is not the mean over it. The load on one
-    wheel changes with the pull, so `load_varies` becomes 1.
+    The accelerometer measures the body, not the pull of this wheel. The torque of a motor with a
+    speed loop is read at the end of a period, in which the other wheels change the motion, too:
+    `points.SPIN_ERROR` allows for what the wheel itself takes. The load on one wheel changes with
+    the pull, so `load_varies` becomes 1.
     """
     white = setting["white"]
-    white["acceleration"] = OF_BODY * scenario.gravity
+    white["acceleration"] = NO_WEIGHT * scenario.gravity
     if scenario.control.action != "torque":
-        white["motor_torque"] = OF_BODY * scenario.weight * scenario.wheel.radius
+        white["motor_torque"] = NO_WEIGHT * scenario.weight * scenario.wheel.radius
     setting["load_varies"] = 1

@@ -32,7 +32,7 @@ from .calibration import changes, reading, sensor_unknowns
 from .form_error import LAW_LENGTHS, Process, finite, in_channels, side_by_side
 from .noise import NoiseEstimate
 from .priors import Unknown, bounds_of, middle_sinkage, parameters_at, soil_unknowns
-from .rig import predict_table
+from .rig import predict_table, shifted
 
 SOURCES = ("slip", "load", *MEASURED)  # of error; the last three are the channels
 STEP = 1e-3  # [prior sd] of an unknown, for differences
@@ -298,7 +298,7 @@ class TableProblem:
             rows,
             self.values(u) | change.soil,
             _NO_WEIGHT,
-            NO_EFFECTS._replace(stress_peak_shift_offset=change.peak_shift),
+            shifted(NO_EFFECTS, change.peak_shift),
             np.zeros(rows.slip.size),
         )
 
@@ -513,8 +513,8 @@ class TableProblem:
         return np.einsum("kjc,kc->kj", gain, e), shared, left
 
     def correct(self, u: np.ndarray) -> None:
-        """Move slip and load to their most probable values under u, and weigh anew there. Without
-        noise of either they stay.
+        """Move slip and load to their most probable values under u, and weigh anew there. One
+        without noise stays.
 
         Slip stays in [-1, 1], load within `_LEAST_LOAD` and `_MOST_LOAD` times the measured one.
         """

@@ -19,6 +19,11 @@ from .priors import Values, given_laws
 BY_ROW = ("friction_angle_deg", "cohesion", "shear_modulus", "sinkage_coefficient")
 
 
+def shifted(fx: Effects, peak_shift: float) -> Effects:
+    """`fx` with the stress peak further forward by `peak_shift` [of the entry angle]."""
+    return fx._replace(stress_peak_shift_offset=fx.stress_peak_shift_offset + peak_shift)
+
+
 def predict_table(
     setup: Setup,
     rows: Rows,

@@ -6,7 +6,9 @@ How to add an effect, in two files here and one of the benchmark, beside tests a
 1. Write `effects/<name>.py` with `EFFECT = Effect(...)`: title, `EffectParameter`s, and for each
    published form its equation as text and its source. In the text a space multiplies and names
    have no dash. `explained` is a sentence for readers of a report. Set `moves` where it leaves a
-   channel as it is, and `varies` to the condition that shows the effect.
+   channel as it is, and `varies` to the condition that shows the effect. A strength grows from
+   its neutral value by `scale`. Prior and bounds also say where a search begins: try them on a
+   table without the effect, too.
    A constant of the source that is not fitted is a parameter `reference_...` with scale 0.
    Another form of a listed mechanism is a `Form`, no effect.
 2. Write its law there as a function under `@compiled`. `fx.<name>_<parameter>` are its
@@ -14,7 +16,9 @@ How to add an effect, in two files here and one of the benchmark, beside tests a
 3. Add the module to `_MODULES` below. Add the law to the function below that composes the laws of
    its place:
 
-   - `soil_in_contact`: strength and bearing under the wheel, by `Passage`;
+   - `soil_in_contact`: strength and bearing of the soil, also of that which is pushed, by
+     `Passage`;
+   - `soil_at_rim`: strength and shear length under the rim alone, by `Passage`;
    - `arc_ends`: exit angle and stress peak, by entry angle and slip;
    - `soil_resistance`: force against the travel, by sinkage, soil and wheel;
    - `drive_friction`: between motor and axle, by torque and wheel speed.
@@ -27,11 +31,15 @@ How to add an effect, in two files here and one of the benchmark, beside tests a
    `unlisted.py` or `fresh.py` there that the law explains goes. Other cases are drawn from then on:
    docs/results.md has the command that makes `docs/results/discovery.json` anew, in half an hour.
 5. Add ranges of the parameters to `cases.py` in `tests/terramechanics`. Add the law as its source
-   writes it to `reference.py` (and its name to the tuple `fx` there), its quantity to `model` of
-   `test_equations.py`, its units to `test_units_do_not_matter`; bounds must hold in those units
-   too, where a pressure may be a hundred times as large. Run `pytest tests/terramechanics
-   tests/simulation/test_worlds.py tests/discovery tests/benchmarks tests/project/test_pages.py`.
-   The effect is one more rival in every discovery: copy new printed output into
+   writes it to `reference.py`, its quantity to `model` of `test_equations.py`, its units to
+   `test_units_do_not_matter`; bounds must hold in those units too, where a pressure may be a
+   hundred times as large. `test_effects.py` has lists of parameters with an own strength (`RIG`)
+   and of those that do nothing alone (`NUISANCES`); with `varies="load"` the name goes into
+   `of_load` of `test_search.py`. Run `pytest tests/terramechanics tests/simulation/test_worlds.py
+   tests/discovery tests/benchmarks tests/project/test_pages.py`.
+   The effect is one more rival in every discovery, and one more term of every prediction. Where
+   `test_outlook.py` or `test_corrected.py` fails, predictions became worse: mend the prior, or
+   name the effect in `LEFT_OUT` of `discovery/prediction.py`. Copy new printed output into
    `docs/guide/discovery.md`, `cmu.md` (which needs the data of the rig) and README.
    `HIDDEN` of the agents' `environment.py` lists the effects that hidden training worlds draw
    from; an effect need not be there.
@@ -53,6 +61,7 @@ from types import MappingProxyType
 from soil_env._compiled.flags import compiled
 from soil_env._io.loading import ParameterError, number, unknown_key
 from soil_env.terramechanics.contact import PEAK_MARGIN
+from soil_env.terramechanics.ground import with_strength
 
 from . import (
     bulldozing,
@@ -173,6 +182,15 @@ def soil_in_contact(soil, passage, fx):
     soil = penetration_rate.loaded_fast(soil, passage, fx)
     soil = shear_rate.sheared_fast(soil, passage, fx)
     return grade.weakened_on_slope(soil, passage, fx)
+
+
+@compiled
+def soil_at_rim(soil, passage, fx):
+    """`SoilState` as a rim without lugs shears it, of the `soil` of `soil_in_contact`; `passage` is
+    a `Passage`. Soil that the wheel or its lugs push stays as it is there.
+    """
+    modulus = soil.shear_modulus * shear_softening.shear_length_ratio(fx)
+    return with_strength(soil, soil.tan_phi, soil.cohesion, modulus)
 
 
 @compiled

@@ -31,7 +31,7 @@ def fitted(
     """Equation of a form with `values` {parameter: value} in so many significant digits, and with
     their units unless `units` is False.
 
-    "+ (-2)" becomes "- 2", "- (-2)" becomes "+ 2", and "-(-2)" becomes "2".
+    "+ (-2)" becomes "- 2", "- (-2)" becomes "+ 2", "-(-2)" becomes "2", "((2))" becomes "(2)".
     """
 
     def number(match: re.Match) -> str:
@@ -47,7 +47,8 @@ def fitted(
     text = _PARAMETER.sub(number, form.equation)
     text = re.sub(r"\+ \(-([^()]*)\)", r"- \1", text)
     text = re.sub(r"- \(-([^()]*)\)", r"+ \1", text)
-    return re.sub(r"-\(-([^()]*)\)", r"\1", text)
+    text = re.sub(r"-\(-([^()]*)\)", r"\1", text)
+    return re.sub(r"\(\(([^()]*)\)\)", r"(\1)", text)
 
 
 def used(form: Form) -> list[str]:
