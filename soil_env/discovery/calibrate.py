@@ -360,7 +360,8 @@ class Problem:
         [N m], [N, 3]; NaN where the model has no value.
 
         `values`: fitted parameters by name. `guess` [N]: sinkages [m] to start from, overwritten by
-        the solution. `rows`: those of the table if None. `peak_shift`: as of `form_error.StressChange`.
+        the solution. `rows`: those of the table if None. `peak_shift`: of a
+        `form_error.StressChange`.
 
         Errors of the rig and laws without a name change the rows before the laws of the world, and
         the outcome after them.
