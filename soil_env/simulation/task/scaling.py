@@ -68,8 +68,8 @@ class Scaling:
             return +values  # a copy
         if not self._routes:
             return (values - self.centre) / self.scale
-        in_sight = values.take(self._mark, axis=-1) != self._unseen
-        return (values - self.centre * in_sight) / self.scale
+        hidden = values[..., self._mark] == self._unseen  # these values are 0
+        return np.where(hidden, values, values - self.centre) / self.scale
 
     def physical(self, observation: Any) -> NDArray[np.float32]:
         """Values [..., D] in their units, a new array, from observations [..., D], the inverse of a
