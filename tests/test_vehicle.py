@@ -92,6 +92,10 @@ def test_a_preset_is_sized_for_its_weight(name, tmp_path):
             "each carries at least 2 % of the weight; they carry -0.212, 1.21",
         ),
         (
+            {"vehicle": {"axles": [0.0, 1.0, 2.0], "bogie": "front", "centre": 1.0, "pivot": 1e-3}},
+            "they carry 0.5, 0.0005, 0.5 with pivot = 0.001",
+        ),
+        (
             {"wheel": {"body_mass": 3.0}},
             "wheel.body_mass: expected vehicle.mass, of which the wheels have equal shares",
         ),

@@ -56,8 +56,9 @@ class _Commands(click.Group):
         except ModuleNotFoundError as error:
             if (error.name or "").partition(".")[0] in ("soil_env", _AGENTS):
                 raise
+            extra = "[train]" if _COMMANDS[name][0].startswith(_AGENTS) else ""
             raise click.UsageError(
-                f"{name} needs the package {error.name}: pip install 'soil_env[train]'"
+                f"{name} needs the package {error.name}: pip install 'soil_env{extra}'"
             ) from None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

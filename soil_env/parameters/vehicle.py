@@ -61,11 +61,12 @@ class Vehicle(Checked):
                 raise FieldError(self, "pivot", f" = {self.pivot}: {expected}")
         if min(self.shares) < LEAST_SHARE:
             carried = ", ".join(f"{s:.3g}" for s in self.shares)
+            pivot = "" if self.bogie == "none" else f" with pivot = {self.pivot:g}"
             raise FieldError(
                 self,
                 "centre",
                 f" = {self.centre}: expected between the axles, so that each carries at least "
-                f"{100 * LEAST_SHARE:g} % of the weight; they carry {carried}",
+                f"{100 * LEAST_SHARE:g} % of the weight; they carry {carried}{pivot}",
             )
 
     @property

@@ -19,7 +19,7 @@ SINKAGE_UNIT = 0.05  # [of the mean sinkage of both]
 # `NEAREST` it is never below 1: such cells are merged only for want of room, after others.
 ON_BORDER = 1e9
 NEAREST = 1e-6  # [m2] added to the square of the distance of their places
-# [m2] Least variance of a reading of the sinkage that was not measured, 1e4, but for rounding.
+# [m2] Variance of a reading of the sinkage from which on it was not measured: such have 1e4.
 UNKNOWN_SINKAGE = 1.0
 
 

@@ -1,5 +1,5 @@
 """Online identification of the soil under a driven wheel, reading by reading
-(docs/physics/estimation.md, whose steps are the files of this folder).
+(docs/physics/estimation.md, whose steps are files of this folder).
 
 `memory`, `setting`, `work` and `reading` are records `MEMORY`, `SETTING`, `WORK` and `READING` of
 memory.py.
@@ -63,12 +63,12 @@ HELD, MOVED, RENEWED = range(3)
 # under the soil so far (CUSUM, docs/physics/estimation.md): own choices. With the change of sinkage
 # beside them a border to a soil that only bears otherwise is found sooner, but readings whose
 # sinkage follows the slip at once begin borders too.
-EXPECTED = 3.0  # [-] taken off chi-squared before it is summed; the sum is never below 0
+ALLOWED = 3.0  # [-] taken off chi-squared before it is summed; the sum is never below 0
 ANOTHER_SOIL = 10.0  # [-] sum above which a border is assumed here
 OUTLIER = 6.0  # [-] chi-squared above which a point is left out, until the sum decides
 SETTLED_POINTS = 3  # of a soil, before which no point is tested
 DOUBT = 1.3  # factor of the standard deviations while the last point is an outlier
-DOUBLED = 2.0**2  # factor of the form error's variance in that test: twice the error
+DOUBLED = 2.0**2  # factor of the form error's square in that test: twice the error
 FURTHER_ERROR = 4e-6  # [of load, squared] further variance of the laws in that test: 0.002 of load
 # Points of a soil up to which readings that contradict the laws show no missed border, own choice:
 # so soon after a border it is the laws that they contradict.
@@ -232,7 +232,7 @@ def _complete(memory, reading, alone, setting, work):
     `alone` as in `observe`. An outlier is left out, and the published standard deviations grow by
     `DOUBT`. To any other point the soil is fitted, and published.
 
-    An excess is chi-squared of a point (`_surprise`) less `EXPECTED`. Their sum, never below 0,
+    An excess is chi-squared of a point (`_surprise`) less `ALLOWED`. Their sum, never below 0,
     shows another soil above `ANOTHER_SOIL`. An outlier has chi-squared above `OUTLIER`.
     """
     cell = memory.cells[memory.cells_kept]
@@ -248,7 +248,7 @@ def _complete(memory, reading, alone, setting, work):
         if surprise > OUTLIER:  # fitted to the end before a point is doubted
             renew(memory, setting, work)
             surprise = _surprise(memory, setting, work)
-        memory.excess = max(memory.excess + surprise - EXPECTED, 0.0)
+        memory.excess = max(memory.excess + surprise - ALLOWED, 0.0)
     # a settled soil that contradicts the laws: a border that the sum of excesses has not shown
     late = memory.settled > 0 and memory.points > FEW_POINTS and memory.cells_kept > 1
     if alone and (contradicted and late or memory.excess > ANOTHER_SOIL):

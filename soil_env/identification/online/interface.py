@@ -89,7 +89,7 @@ class Estimate:
 
     @property
     def valid(self) -> bool:
-        """True if phi and ln K are much narrower than the prior and the readings agree: status
+        """True if phi and ln K are known better than by the prior and the readings agree: status
         CONVERGED.
         """
         return self.status == Status.CONVERGED

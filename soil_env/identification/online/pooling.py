@@ -39,7 +39,7 @@ SHARED = OF_GROUND  # unknowns that a passing wheel does not change: tan phi, c,
 # choices.
 ANGLE_ERROR = math.radians(0.6)  # [rad]
 MODULUS_ERROR = 0.06  # [-] of ln K
-COHESION_ERROR = 50.0  # [Pa]; with 100 the intervals of cohesion held 92 % instead of 68 %
+COHESION_ERROR = 50.0  # [Pa]; with 100 intervals of cohesion that should hold 68 % held 92 %
 # [-] Share of another wheel's information that counts, own choice: borders are found late, and all
 # wheels err alike where the laws do.
 TRUST = 0.5

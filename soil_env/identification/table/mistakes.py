@@ -93,7 +93,9 @@ WITH = 3.0
 UNLIKE = -2.5  # log of the evidence by rises, below which a reading is out of the question
 FALLS = 0.8  # share of the groups of rows in which the pull has to fall with slip to be doubted
 FALL_SD = 3.0  # [noise] by which the pull of a group has to fall; own choice
-LOW_SLIP = 0.2  # slip up to which a group must begin for a rise or fall to say anything
+# slip up to which a group must begin for a rise or fall to say anything, and from which a row
+# counts for the resistance to the wheel
+LOW_SLIP = 0.2
 LOWEST_SLIP = -0.05  # slip from which it must begin, so that it is not of a braked wheel
 LEAST_SPAN = 0.15  # least range of its slips, for the same
 FEWEST_VALUES = 4  # of a channel, from which it can be found constant or too weak
@@ -482,8 +484,10 @@ def _by_resistance(data: Data, noise: NoiseEstimate, reading: Reading) -> float:
 
 
 def _resisted(data: Data, noise: NoiseEstimate) -> np.ndarray:
-    """[N] bool, True for rows that show the resistance to the wheel: on the level, beyond
-    `LOW_SLIP`, with a sinkage above 0 and both forces, none of them an outlier.
+    """[N] bool, True for rows by which the resistance to the wheel is judged.
+
+    They are on the level, at slips above `LOW_SLIP` (own choice), with a sinkage above 0. All three
+    channels are measured, and none is an outlier.
     """
     level = np.abs(data.rows.conditions[:, 2]) < LEVEL
     return np.all(noise.used, axis=1) & (data.rows.slip > LOW_SLIP) & level & (data.y[:, 0] > 0.0)
@@ -493,8 +497,8 @@ def _resistance(table: Table, setup: Setup) -> tuple[np.ndarray, np.ndarray]:
     """(resistance to the wheel over the load, its usual value `HELD` sqrt(z/r)), both [-], one a
     row.
 
-    Resistance is torque/radius less the pull, at any slip. The vertical stress over the arc of
-    contact makes it about W/2 times the sine sqrt(2 z/r) of the entry angle.
+    Resistance is torque/radius less the pull, about the same at any slip. The vertical stress over
+    the arc of contact makes it about W/2 times the sine sqrt(2 z/r) of the entry angle.
     """
     radius = table.radius(setup.wheel)
     share = (table.torque / radius - table.drawbar_pull) / table.load

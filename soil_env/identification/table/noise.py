@@ -246,6 +246,8 @@ def _without_outliers(
         far = np.abs(spread) / scale
         if sd is None:
             freedom = keep.sum() - basis.shape[1] - 1
+            if freedom < 1:  # too few values are left to judge one by the others
+                break
             far = np.maximum(far, _studentised(spread, np.sum(left[keep] ** 2), freedom))
         far[~known] = 0.0
         worst = np.argmax(far)

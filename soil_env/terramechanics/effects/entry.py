@@ -59,7 +59,7 @@ class Bench(NamedTuple):
     speed: float  # [m/s] geometric mean of the travel speed, 0 unless known in every row
     median_speed: float  # [m/s]
     highest_speed: float  # [m/s], 0 = not known
-    sliding: float  # [m/s] geometric mean of the sliding speed, 0 = not known
+    sliding: float  # [m/s] geometric mean of the sliding speed of rows that slip, 0 = not known
     lowest_slip: float  # of the table, < 0 braked
     lugs: int | None  # around the rim, None = not known
     smooth: bool  # no lugs on any wheel

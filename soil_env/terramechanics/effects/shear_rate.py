@@ -24,8 +24,9 @@ def sheared_fast(soil, passage, fx):
 
 
 def _neutral(bench: Bench) -> dict[str, float]:
-    """The geometric mean of the sliding speed [m/s] of the table as reference and, to begin with,
-    as onset speed. Empty where it is not known: the parameters keep their own.
+    """Reference speed [m/s], which is not fitted, and median of the onset speed's prior: the
+    geometric mean of the table's sliding speed, `Bench.sliding`. Empty where that is not known:
+    then both have the values of the catalogue.
     """
     if bench.sliding > 0.0:
         return {"reference_speed": bench.sliding, "onset_speed": bench.sliding}
